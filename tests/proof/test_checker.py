@@ -21,8 +21,10 @@ import hamsym
 from hamsym.errors import CertificationError, InputError
 from hamsym.problems.description import described
 from hamsym.proof import checker as package
+from hamsym.proof.checker import guesses
 from hamsym.proof.checker.formulas import Formulas, NotProvenError
-from hamsym.proof.checker.motion import Equations, Step, expanded, steps
+from hamsym.proof.checker.functions import Equations, Polynomial, expanded
+from hamsym.proof.checker.motion import Step, steps
 from hamsym.proof.checker.solutions import check_solution
 from hamsym.proof.independent import _trial_data
 
@@ -210,16 +212,14 @@ def test_steps_enclose_random_solutions(first):
 
 def test_a_step_holds_for_every_polynomial(monkeypatch):
     """A wrong y makes a wide tube or no proof, never a wrong one."""
-    from hamsym.proof.checker import motion
-
-    guess = motion._guess
+    guess = guesses.guess
 
     def worse(*arguments):
         found = guess(*arguments)
-        y = [motion.Polynomial([c * (1 + arb(2) ** -40) for c in p.real.coeffs()]) for p in found.y]
+        y = [Polynomial([c * (1 + arb(2) ** -40) for c in p.real.coeffs()]) for p in found.y]
         return dataclasses.replace(found, y=y)
 
-    monkeypatch.setattr(motion, "_guess", worse)
+    monkeypatch.setattr(guesses, "guess", worse)
     with ctx.workprec(208):
         equations = Equations(described(hamsym.Hamiltonian(QUARTIC)))
         *_, last = steps(equations, [1.3, 1.0], (0.0, 1.0), 46, 2.0**-150, lambda: None)
@@ -230,15 +230,13 @@ def test_a_step_holds_for_every_polynomial(monkeypatch):
 
 def test_matrices_without_use_prove_nothing(monkeypatch):
     """V = 0 leaves |1 - V W| = 1."""
-    from hamsym.proof.checker import motion
-
-    guess = motion._guess
+    guess = guesses.guess
 
     def useless(*arguments):
         found = guess(*arguments)
         return dataclasses.replace(found, V=[0 * part for part in found.V])
 
-    monkeypatch.setattr(motion, "_guess", useless)
+    monkeypatch.setattr(guesses, "guess", useless)
     equations = Equations(described(hamsym.Hamiltonian(QUARTIC)))
     with ctx.workprec(208), pytest.raises(NotProvenError, match="no proof beyond t = 0"):
         list(steps(equations, [1.3, 1.0], (0.0, 1.0), 46, 2.0**-150, lambda: None))

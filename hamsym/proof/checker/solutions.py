@@ -17,7 +17,8 @@ from typing import Any
 from flint import arb, arb_poly, ctx
 
 from hamsym.proof.checker.formulas import NotProvenError, ball
-from hamsym.proof.checker.motion import UNIT, Equations, Polynomial, Step, expanded, steps, time_at
+from hamsym.proof.checker.functions import UNIT, Equations, Polynomial, expanded, time_at
+from hamsym.proof.checker.motion import Step, steps
 from hamsym.proof.checker.trials import Window, windows
 
 # Bits, Taylor coefficients, and the size of the last ones, of attempts.

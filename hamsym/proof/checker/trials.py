@@ -15,7 +15,7 @@ from typing import Any
 from flint import acb, arb, arb_mat, arb_poly, arb_series
 
 from hamsym.proof.checker.formulas import NotProvenError, ball
-from hamsym.proof.checker.motion import Polynomial, coefficients
+from hamsym.proof.checker.functions import Polynomial, coefficients
 
 #: (s at x = 0, its change with x) -> (x -> N(s)).
 _Network = Callable[[Fraction, Fraction], Callable[[Any], list[Any]]]
