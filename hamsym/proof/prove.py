@@ -211,10 +211,17 @@ def verify(
     certificate: Certificate
     | BoxCertificate
     | hamsym.OrbitCertificate
+    | hamsym.SectionCertificate
     | hamsym.Equilibrium
     | hamsym.Invariant
     | str,
-    result: Solution | FlowMap | hamsym.PeriodicOrbit | Hamiltonian | str | os.PathLike[str],
+    result: Solution
+    | FlowMap
+    | hamsym.PeriodicOrbit
+    | hamsym.Section
+    | Hamiltonian
+    | str
+    | os.PathLike[str],
     time_limit: float | None = None,
     progress: bool | None = None,
     *,
@@ -224,9 +231,9 @@ def verify(
 
     Parameters
     ----------
-    certificate : Certificate, BoxCertificate, OrbitCertificate or str
-        The text is that of their ``to_json``.
-    result : Solution, FlowMap, PeriodicOrbit or path
+    certificate : Certificate, BoxCertificate, OrbitCertificate, SectionCertificate or str
+        The text is that of ``to_json``.
+    result : Solution, FlowMap, PeriodicOrbit, Section or path
         What the certificate is about; the path is that of a file that :func:`hamsym.save` wrote.
     time_limit : float, optional
         Seconds. By default 60 s plus ten times the run time of certify, at most 600 s, because a
@@ -261,7 +268,7 @@ def verify(
         return
     if isinstance(certificate, str):
         certificate = certificate_from(certificate)
-    known = (Certificate, BoxCertificate, hamsym.OrbitCertificate)
+    known = (Certificate, BoxCertificate, hamsym.OrbitCertificate, hamsym.SectionCertificate)
     if not isinstance(certificate, known):
         raise InputError(
             f"certificate must be a certificate or its text, not {type(certificate).__name__}"
@@ -278,6 +285,8 @@ def verify(
     elif isinstance(certificate, BoxCertificate):
         flow = _of_kind(FlowMap, result)
         verify_box(certificate, flow, _deadline(time_limit, certificate.seconds))
+    elif isinstance(certificate, hamsym.SectionCertificate):
+        certificate.verify(_of_kind(hamsym.Section, result))
     else:
         deadline = _deadline(time_limit, certificate.seconds)
         orbit = _of_kind(hamsym.PeriodicOrbit, result)

@@ -36,26 +36,12 @@ from flint import arb, arb_series
 
 from hamsym.kernel.enclosures import enclosures
 from hamsym.proof.arithmetic.balls import above, working
+from hamsym.proof.arithmetic.directed import TINY, UNIT, sum_up
 from hamsym.proof.arithmetic.functions import Arithmetic, SingularityError, general_power
 
 BITS = 160  # of constants, tables and elementary functions
-_UNIT = 2.0**-53
-_TINY = 1e-290
 _ORDERS = 26  # of the series of an elementary function
 _NEGLIGIBLE = 2.0**-58
-
-
-def inflated(values: Any, terms: int = 1) -> Any:
-    """An upper bound on sums of so many numbers >= 0 that were computed in float64."""
-    return values * (1 + 2 * (terms + 32) * _UNIT) + _TINY
-
-
-def deflated(values: Any, terms: int = 1) -> Any:
-    """A lower bound on sums of so many products >= 0 that were computed in float64.
-
-    Zero where underflow may count beside the result.
-    """
-    return np.where(values > _TINY, values * (1 - 2 * (terms + 32) * _UNIT), 0.0)
 
 
 def float_with_radius(number: arb) -> tuple[float, float]:
@@ -168,35 +154,35 @@ class Space:
         enclosures().add_products(found, a, b, *self._pairs)
         size, other = np.abs(a), np.abs(b)
         tail = (size * (self._left_out @ other)).sum(axis=0)
-        rounding = 2 * (self.most + 4) * _UNIT * first.amount() * second.amount()
+        rounding = 2 * (self.most + 4) * UNIT * first.amount() * second.amount()
         rest = (
             first.radius * (second.size() + second.radius)
             + first.size() * second.radius
             + tail
             + rounding
         )
-        return Model(self, found, inflated(rest, 2 * self.count))
+        return Model(self, found, sum_up(rest, 2 * self.count))
 
     def integral(self, model: Model) -> Model:
         """The integral over tau from -1."""
         size = np.abs(model.coefficients)
         rest = 2 * model.radius + self._beyond @ size
-        rest = rest + 2 * 2 * (self.count + 4) * _UNIT * size.sum(axis=0)
+        rest = rest + 2 * 2 * (self.count + 4) * UNIT * size.sum(axis=0)
         found = self._integral @ model.coefficients
-        return Model(self, found, inflated(rest, 2 * self.count))
+        return Model(self, found, sum_up(rest, 2 * self.count))
 
     def rate(self, model: Model) -> Model:
         """The derivative in tau of a polynomial, whose radius must be 0."""
         if model.radius.any():
             raise ValueError("a Taylor model with a radius has no derivative")
         found = self._rate @ model.coefficients
-        return Model(self, found, inflated(2 * _UNIT * np.abs(found).sum(axis=0), self.count))
+        return Model(self, found, sum_up(2 * UNIT * np.abs(found).sum(axis=0), self.count))
 
     def at_end(self, model: Model, end: int) -> Model:
         """The model at tau = -1 or 1."""
         found = self._ends[end] @ model.coefficients
-        rest = model.radius + 2 * (self.time_degree + 2) * _UNIT * model.amount()
-        return Model(self, found, inflated(rest))
+        rest = model.radius + 2 * (self.time_degree + 2) * UNIT * model.amount()
+        return Model(self, found, sum_up(rest))
 
 
 class Model:
@@ -214,7 +200,7 @@ class Model:
     def amount(self) -> np.ndarray:
         """The sum of |coefficients| for each cell, rounded up."""
         if self._amount is None:
-            self._amount = inflated(np.abs(self.coefficients).sum(axis=0), self.space.count)
+            self._amount = sum_up(np.abs(self.coefficients).sum(axis=0), self.space.count)
         return self._amount
 
     def size(self) -> np.ndarray:
@@ -223,13 +209,13 @@ class Model:
             space = self.space
             series = np.abs(space.series @ self.coefficients).sum(axis=0)
             # The entries of a column of the matrix sum up to 1.
-            rounding = 2 * (space.count + 4) * _UNIT * self.amount()
-            self._size = np.minimum(inflated(series + rounding, space.count), self.amount())
+            rounding = 2 * (space.count + 4) * UNIT * self.amount()
+            self._size = np.minimum(sum_up(series + rounding, space.count), self.amount())
         return self._size
 
     def largest(self) -> np.ndarray:
         """A bound on |f| for each cell."""
-        return np.asarray(inflated(self.size() + self.radius))
+        return np.asarray(sum_up(self.size() + self.radius))
 
     def __neg__(self) -> Model:
         return Model(self.space, -self.coefficients, self.radius)
@@ -238,8 +224,8 @@ class Model:
         if not isinstance(other, Model):
             return self.plus(*_known(other))
         found = self.coefficients + other.coefficients
-        rest = self.radius + other.radius + _UNIT * np.abs(found).sum(axis=0)
-        return Model(self.space, found, inflated(rest, self.space.count))
+        rest = self.radius + other.radius + UNIT * np.abs(found).sum(axis=0)
+        return Model(self.space, found, sum_up(rest, self.space.count))
 
     def __sub__(self, other: Model | arb | int) -> Model:
         return self + (-other)
@@ -258,18 +244,18 @@ class Model:
         """The product with a number, or one for each cell, known up to a radius."""
         found = self.coefficients * factor
         rest = np.abs(factor) * self.radius + radius * self.largest()
-        rest = rest + _UNIT * np.abs(found).sum(axis=0)
-        return Model(self.space, found, inflated(rest, self.space.count))
+        rest = rest + UNIT * np.abs(found).sum(axis=0)
+        return Model(self.space, found, sum_up(rest, self.space.count))
 
     def plus(self, number: Any, radius: Any = 0.0) -> Model:
         """The sum with a number, or one for each cell, known up to a radius."""
         found = self.coefficients.copy()
         found[0] += number
-        return Model(self.space, found, inflated(self.radius + radius + _UNIT * np.abs(found[0])))
+        return Model(self.space, found, sum_up(self.radius + radius + UNIT * np.abs(found[0])))
 
     def widened(self, radius: Any) -> Model:
         """The model with a larger radius."""
-        return Model(self.space, self.coefficients, inflated(self.radius + radius))
+        return Model(self.space, self.coefficients, sum_up(self.radius + radius))
 
     def polynomial(self) -> Model:
         """The polynomial alone."""
@@ -302,10 +288,10 @@ class Model:
         with np.errstate(all="ignore"):
             factors = np.repeat(half[None], _ORDERS + 1, axis=0)
             factors[0] = 1
-            powers = inflated(np.multiply.accumulate(factors), 4 * _ORDERS)
-            remainders = inflated(ranges * powers)
+            powers = sum_up(np.multiply.accumulate(factors), 4 * _ORDERS)
+            remainders = sum_up(ranges * powers)
             small = np.abs(values) * powers <= _NEGLIGIBLE * np.nanmax(
-                np.abs(values) * powers, axis=0, initial=_TINY
+                np.abs(values) * powers, axis=0, initial=TINY
             )
             order = _ORDERS - 1
             valid = np.isfinite(remainders).any(axis=0)

@@ -18,11 +18,13 @@ from hamsym.kernel.enclosures import enclosures
 from hamsym.problems.problem import InitialValueProblem
 from hamsym.proof.arithmetic.ball import Ball
 from hamsym.proof.arithmetic.balls import number_of
+from hamsym.proof.arithmetic.directed import up
 from hamsym.proof.arithmetic.float64_arithmetic import require_float64
 from hamsym.proof.limits import Deadline
 from hamsym.proof.windows.equation import equation_of
-from hamsym.proof.windows.proven_windows import ErrorSet, Window, WindowStepper
+from hamsym.proof.windows.proven_windows import WindowStepper
 from hamsym.proof.windows.public_windows import check_enclosure
+from hamsym.proof.windows.window_sets import ErrorSet, Window
 from hamsym.solution.times import times_in_span
 from hamsym.support.record_fields import UNSAVED, Size
 from hamsym.support.shown import Drawn, Saved
@@ -106,7 +108,7 @@ def enclosed(
     names = list(balls)
     if balls:
         H = H.with_parameters(**{name: ball.mid for name, ball in balls.items()})
-    start = _initial_balls(H, z0)
+    start = initial_balls(H, z0)
     for ball in (*start, *balls.values()):
         if not math.isfinite(ball.radius):
             raise InputError("a ball has an infinite radius; give a finite one")
@@ -161,7 +163,8 @@ def _parameter_balls(H: Hamiltonian, parameters: Any) -> dict[str, Ball]:
     return {str(name): Ball.of(value) for name, value in parameters.items()}
 
 
-def _initial_balls(H: Hamiltonian, z0: Any) -> list[Ball]:
+def initial_balls(H: Hamiltonian, z0: Any) -> list[Ball]:
+    """The balls of an initial state, as :func:`enclose` takes it."""
     if isinstance(z0, Ball):
         if np.shape(z0.mid) != (H.dim,):
             raise InputError(f"z0 must be a Ball of shape ({H.dim},), not {np.shape(z0.mid)}")
@@ -316,7 +319,7 @@ class Enclosure(Drawn, Saved):
         matrix, error = enclosures().matrix_value(window.V, basis)
         radius = enclosures().set_radius(matrix, error, window.G, window.R[:, None])[:dim, 0]
         radius = radius + window.beside + np.abs(value[:, 1]) + value[:, 2]
-        return [value[:, 0], radius * (1 + 1e-9)]
+        return [value[:, 0], up(radius)]
 
     def _slopes(self, k: int, basis: np.ndarray) -> list[np.ndarray]:
         """dz/d(z0, k): the derivative of the window times that of the windows before."""
@@ -327,7 +330,7 @@ class Enclosure(Drawn, Saved):
         columns = len(middle)
         found, rounding = enclosures().moved_set(matrix, error, middle, np.eye(columns))
         beside = enclosures().set_radius(matrix, error, rest.G, rest.R)
-        return [found, (rounding + beside) * (1 + 1e-9)]
+        return [found, up(rounding + beside)]
 
     def _derivative_before(self, k: int) -> tuple[np.ndarray, ErrorSet]:
         """dz/d(z0, k) at the start of window k: a matrix and the set of its errors."""
@@ -340,7 +343,7 @@ class Enclosure(Drawn, Saved):
             middle, rest = known[-1]
             error = window.J_error.copy()
             error[: self.H.dim] += window.derivative
-            error *= 1 + 1e-9
+            error = up(error)
             fresh, rounding = enclosures().moved_set(window.J, error, middle, np.eye(len(middle)))
             known.append((fresh, rest.moved(window.J, error, rounding, window.units)))
         self._derivatives[:] = known

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from hamsym.numerics.collocation import chebyshev_values
-from hamsym.proof.public_check import ROOM, UNIT, require_same
+from hamsym.proof.arithmetic.directed import UNIT
+from hamsym.proof.public_check import ROOM, require_same
 from hamsym.proof.windows.trial_models import trial_pieces
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.solution.solution import Solution
