@@ -8,6 +8,7 @@ the command line lists the backends.
 from __future__ import annotations
 
 import builtins
+import functools
 import keyword
 from dataclasses import dataclass
 
@@ -113,12 +114,13 @@ BACKENDS: dict[str, Backend] = {
 }
 
 
-def runnable() -> list[str]:
+@functools.cache
+def runnable() -> tuple[str, ...]:
     """Names of the backends that can be compiled.
 
     Examples
     --------
     >>> runnable()
-    ['torch', 'numpy', 'numba', 'jax']
+    ('torch', 'numpy', 'numba', 'jax')
     """
-    return [name for name, backend in BACKENDS.items() if backend.runs]
+    return tuple(name for name, backend in BACKENDS.items() if backend.runs)

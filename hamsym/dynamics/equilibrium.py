@@ -15,7 +15,7 @@ import numpy as np
 
 from hamsym.dynamics.linear_stability import LinearStability
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.proof.ball import Ball
+from hamsym.proof.arithmetic.ball import Ball
 from hamsym.support.shown import Drawn, Shown
 from hamsym.support.suggestions import suggest_attributes
 

@@ -13,7 +13,6 @@ import sympy
 import hamsym
 from hamsym.errors import InputError
 from hamsym.exporting.about import About, checked_certificate
-from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.solution.solution import Solution
 from hamsym.support.atomic import write_file
@@ -77,7 +76,7 @@ def _form(about: About, ending: str) -> Any:
 
 @checked_keywords
 def export(
-    result: Solution | FlowMap | HamiltonianLike,
+    result: Solution | HamiltonianLike,
     path: str | os.PathLike[str],
     *,
     certificate: hamsym.Certificate | None = None,
@@ -114,9 +113,8 @@ def export(
 
     Parameters
     ----------
-    result : Solution, FlowMap, Hamiltonian or str
-        A flow map is written as a module of Python (:meth:`hamsym.FlowMap.export`). A Hamiltonian
-        becomes a lesson.
+    result : Solution, Hamiltonian or str
+        A Hamiltonian becomes a lesson.
     path : path-like
         The file, replaced in one step.
     certificate : Certificate, optional
@@ -159,9 +157,6 @@ def export(
     ...     "<canvas" in Path(folder + "/spring.html").read_text("utf-8")
     True
     """
-    if isinstance(result, FlowMap):
-        _export_flow_map(result, path)
-        return
     target, ending = _target(path)
     if ending == LESSON:
         if certificate is not None:
@@ -241,13 +236,3 @@ def _target(path: str | os.PathLike[str]) -> tuple[Path, str]:
             f"'{path}' has no ending of a format; give one of {known}, {LESSON} (a lesson)"
         )
     return target, ending
-
-
-def _export_flow_map(flow: FlowMap, path: str | os.PathLike[str]) -> None:
-    target, ending = _target(path)
-    if ending != ".py":
-        raise InputError(
-            f"a flow map is exported as a module of Python only; give a name that ends in .py "
-            f"instead of '{target.name}'"
-        )
-    flow.export(target)
