@@ -2,10 +2,11 @@
 
 The march judges a window by its residual at fixed places. A feature between them, for example a
 pulse of the force that is narrower than their distance, leaves no trace there. Here the residual
-dz^/dt - J grad H(z^) of a window is bounded by arithmetic of models
-(:mod:`hamsym.bounds.models`), so that a feature of any width, in time or along the orbit, shows.
+dz^/dt - J grad H(z^) of a window is bounded, so that a feature of any width, in time or along the
+orbit, shows: by bounds of the formulas in discs around it (:mod:`hamsym.bounds.discs`) or, where
+these have none, by arithmetic of models (:mod:`hamsym.bounds.models`).
 
-Where the bound exceeds the limit the window is halved. A part passes as soon as its bound, times
+Where both bounds exceed the limit the window is halved. A part passes as soon as its bound, times
 its length, cannot matter; it fails where its residual, at places of its own, does matter; and it
 is halved again while neither is known. So a pulse is met after as many halvings as the logarithm
 of its width, and what the trajectory does not reach costs nothing. A part that float64 cannot
