@@ -57,8 +57,8 @@ def accepted(
     ratio, tol, span = excess(solution), solution.settings.tol, solution.settings.span
     state = with_error(state, ratio)
     if stopped and jump is not None:
-        reached = shown_time(solution.span[1], *span)
-        return solution.judged(False, f"stopped at t = {reached}: {stopped}; {jump}")
+        end = shown_time(solution.span[1], *span)
+        return solution.judged(False, f"stopped at t = {end}: {stopped}; {jump}")
     if stopped:
         reached, until = solution.span[1], held(solution)
         shown, missing = shown_time(until, *span), abs(reached - until)
