@@ -68,7 +68,8 @@ def _ratio(rows: list[dict[str, Any]], name: str, asked: float, rivals: Sequence
 _COLUMNS = (
     ("over DOP853", _INTERPRETED),
     ("over compiled DOP853", _FASTEST_DOP853),
-    ("over heyoka", ("heyoka", "heyoka, grid")),
+    ("over heyoka", ("heyoka",)),
+    ("over heyoka, grid", ("heyoka, grid",)),
     ("over diffrax", ("Dopri8 (diffrax)",)),
 )
 
