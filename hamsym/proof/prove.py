@@ -276,7 +276,7 @@ def verify(
     if independent and not isinstance(certificate, Certificate):
         raise InputError(
             'checker="independent" covers certificates of solutions, equilibria and invariants, '
-            'not certificates of flow maps and orbits; give checker="kernel" for those'
+            'not certificates of flow maps, orbits and sections; give checker="kernel" for those'
         )
     if isinstance(certificate, Certificate):
         solution = _of_kind(Solution, result)
