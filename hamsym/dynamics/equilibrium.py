@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
+import hamsym
 from hamsym.dynamics.linear_stability import LinearStability
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof.arithmetic.ball import Ball
@@ -21,6 +22,10 @@ from hamsym.support.suggestions import suggest_attributes
 
 if TYPE_CHECKING:
     import sympy
+
+
+#: Words of stability for the parts of a type.
+_WORDS = {"centre": "elliptic", "saddle": "hyperbolic", "focus-focus": "complex unstable"}
 
 
 @suggest_attributes
@@ -54,6 +59,8 @@ class Equilibrium(Drawn, Shown):
         Whether it may be on the edge of the box that was searched, or outside within ``radius``.
     linear : LinearStability or None
         None where a parameter has no value.
+    H : Hamiltonian or None
+        The one whose equilibrium it is.
     """
 
     names: tuple[str, ...]
@@ -65,6 +72,7 @@ class Equilibrium(Drawn, Shown):
     family: str = ""
     on_edge: bool = False
     linear: LinearStability | None = field(default=None, repr=False)
+    H: Hamiltonian | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
         return f"Equilibrium({self.lines[0]}, {self.how})"
@@ -126,6 +134,33 @@ class Equilibrium(Drawn, Shown):
             raise AttributeError("the stability is unknown, because a parameter has no value")
         return self.linear
 
+    def normal_form(self, degree: int = 6) -> hamsym.NormalForm:
+        """Compute the Birkhoff normal form: H in actions, and whether the equilibrium is stable.
+
+        Parameters
+        ----------
+        degree : int
+            Of H in the coordinates, 2 to 12. With two degrees of freedom degree 6 takes a second,
+            and each further degree about twice as long; stability needs degree 4.
+
+        Returns
+        -------
+        NormalForm
+
+        Raises
+        ------
+        CertificationError
+            If the equilibrium is not proven, or not elliptic, or frequencies of coupled modes are
+            equal.
+
+        Examples
+        --------
+        >>> pendulum = hamsym.equilibria("p**2/2 - cos(x)")[0]
+        >>> pendulum.normal_form(6).formula
+        -0.00390625*I_1**3 - 0.0625*I_1**2 + 1.0*I_1
+        """
+        return hamsym.normal_form(self, degree)
+
     def __str__(self) -> str:
         return self.summary(rows=None)
 
@@ -141,7 +176,8 @@ class Equilibrium(Drawn, Shown):
         state = ", ".join(f"{name} = {value}" for name, value in pairs)
         lines = [f"{self.type} at {state}"]
         if self.linear is not None:
-            lines += [f"energy {self.energy:.10g}, {self.stability}", self.spectrum]
+            definite = ", stable (the Hessian is definite)" if self.lyapunov_stable else ""
+            lines += [f"energy {self.energy:.10g}, {self.stability}{definite}", self.spectrum]
         lines += [self.evidence]
         if self.family:
             lines += [f"part of a continuum: {self.family}"]
@@ -149,11 +185,17 @@ class Equilibrium(Drawn, Shown):
 
     @property
     def stability(self) -> str:
-        """Stability in words."""
-        if self.lyapunov_stable:
-            return "stable (the Hessian is definite)"
-        words = {True: "linearly stable", False: "unstable", None: "stability not decided"}
-        return words[self.stable]
+        """Linear stability, in the words of :attr:`hamsym.PeriodicOrbit.stability`.
+
+        "elliptic" if all parts of ``type`` are centres, "hyperbolic" if they are saddles, "complex
+        unstable" if they are foci, else "mixed"; where the type is degenerate, "unstable" if an
+        eigenvalue has a positive real part, else "undecided".
+        """
+        known = "" if self.linear is None else self.type
+        kinds = [word for part, word in _WORDS.items() if part in known]
+        if kinds:
+            return kinds[0] if len(kinds) == 1 else "mixed"
+        return "unstable" if self.stable is False else "undecided"
 
     @property
     def spectrum(self) -> str:

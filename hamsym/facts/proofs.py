@@ -14,6 +14,7 @@ from hamsym.facts.wording import (
     error_text,
     formulas_of,
     given_of,
+    largest_share,
     seconds_text,
     silent,
     span_fact,
@@ -34,13 +35,13 @@ _THREE_DIGITS = Context(prec=3, rounding=ROUND_CEILING)
 
 def _certificate(certificate: Certificate) -> Facts:
     names, bounds, asked = certificate.components, certificate.component_bounds, certificate.asked
-    worst = max(range(len(names)), key=bounds.__getitem__)
-    headline = (
-        f"error at most {decimal(certificate.bound)} (2-norm); the largest of a component is "
-        f"that of {names[worst]}, at most {decimal(bounds[worst])}"
+    worst = (
+        int(np.argmax(bounds)) if asked is None else largest_share(*map(np.array, (bounds, asked)))
     )
+    headline = f"error of {names[worst]} at most {decimal(bounds[worst])}"
     if asked is not None:
         headline += f", where {decimal(asked[worst])} was asked"
+    headline += f"; of the state at most {decimal(certificate.bound)} (2-norm)"
     others = ("energy", "ell_max")
     rows = ["|z|", *names, "H", "ell_max"]
     lowers = [certificate.lower, *certificate.component_lowers]
@@ -128,7 +129,7 @@ def _orbit_certificate(certificate: OrbitCertificate) -> Facts:
         entries=(
             Table(
                 "components",
-                [f"{k + 1}" for k in range(len(balls))],
+                list(certificate.components),
                 (Column("start", balls, lambda ball: ball_text(*ball)),),
                 head="component",
             ),
@@ -183,7 +184,9 @@ def ball_text(mid: Any, radius: Any) -> str:
     mid, radius = float(mid), float(radius)
     digits = 17
     if radius > 0 and math.isfinite(radius) and mid:
-        digits = math.ceil(math.log10(abs(mid) / radius)) + 2 if radius < abs(mid) else 2
+        digits = (
+            math.ceil(math.log10(abs(mid)) - math.log10(radius)) + 2 if radius < abs(mid) else 2
+        )
     text = f"{mid:.{min(max(digits, 2), 17)}g}"
     if not math.isfinite(radius):
         return f"{text} +- {radius}"
