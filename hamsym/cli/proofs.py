@@ -61,7 +61,7 @@ def verify(file: str, certificate: str | None, time_limit: float | None, checker
     """Repeat the proof of a certificate from the saved solution or flow map.
 
     Exit 1 if a bound of the certificate is not proven. The independent checker covers solutions; it
-    parses H itself and works in ball arithmetic, in about ten times the time.
+    parses H itself and works in ball arithmetic, in five to forty times the time.
     """
     from hamsym.archive import read_certificate
     from hamsym.proof.prove import verify as run

@@ -243,7 +243,7 @@ def verify(
         What proves the claims: the program that proved them, or :mod:`hamsym.proof.checker`, a
         small one on python-flint that shares no line with it. It parses H itself, encloses the
         exact solution by another lemma in ball arithmetic, and proves the very numbers of the
-        certificate, in about ten times the time, for which ten times the default limit is allowed.
+        certificate, in five to forty times the time; ten times the default limit is allowed.
         It covers certificates of solutions; and beside certificates an equilibrium that
         :func:`hamsym.equilibria` found (its ball, its type and its stability, not that a list is
         complete) and an invariant, each with its Hamiltonian as the result.
@@ -276,7 +276,7 @@ def verify(
     if independent and not isinstance(certificate, Certificate):
         raise InputError(
             'checker="independent" covers certificates of solutions, equilibria and invariants, '
-            'not certificates of flow maps and orbits; give checker="kernel" for those'
+            'not certificates of flow maps, orbits and sections; give checker="kernel" for those'
         )
     if isinstance(certificate, Certificate):
         solution = _of_kind(Solution, result)

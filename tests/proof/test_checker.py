@@ -550,7 +550,7 @@ def test_an_invariant_for_some_values_is_none_for_others():
 
 def test_what_is_not_covered_is_said():
     flow = hamsym.flow_map("p**2/2 + x**2/2", {"x": (1, 1.1), "p": 0}, (0, 0.3), tol=1e-6)
-    with pytest.raises(InputError, match="not certificates of flow maps and orbits"):
+    with pytest.raises(InputError, match="not certificates of flow maps, orbits and sections"):
         hamsym.verify(flow.certify(), flow, checker="independent")
 
 
