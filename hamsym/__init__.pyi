@@ -14,6 +14,8 @@ from .dynamics.lyapunov import LyapunovExponents as LyapunovExponents
 from .dynamics.lyapunov import lyapunov as lyapunov
 from .dynamics.lyapunov_map import LyapunovMap as LyapunovMap
 from .dynamics.monodromy import monodromy as monodromy
+from .dynamics.normal_forms import NormalForm as NormalForm
+from .dynamics.normal_forms import normal_form as normal_form
 from .dynamics.proven_sections import SectionCertificate as SectionCertificate
 from .dynamics.sections import Section as Section
 from .dynamics.sections import section as section

@@ -31,6 +31,7 @@ GROUPS["Equations and code"] += ["transform", "Transformation", "regularize", "R
 GROUPS["Comparison, figures and files"] += ["describe", "Facts"]
 GROUPS["Methods of solve"] += ["Adam", "Regularizer"]
 GROUPS["Proofs"] += ["BoxCertificate"]
+GROUPS["Equilibria and periodic orbits"] += ["normal_form", "NormalForm"]
 GROUPS["Dynamics"] += ["frequencies", "Frequencies", "time_average"]
 GROUPS["Dynamics"] += ["chaos_indicators", "ChaosIndicators", "monodromy"]
 GROUPS["Proofs"] += ["SectionCertificate"]

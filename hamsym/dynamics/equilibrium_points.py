@@ -64,7 +64,7 @@ class Finder:
         if how == "numerical" and continues(self.candidates, z):
             known.setdefault("family", "one of its points is shown")
         linear = self._stability_at(z, exactly=how == "symbolic")
-        return Equilibrium(self.H.names, z, self.energy(z), how, linear=linear, **known)
+        return Equilibrium(self.H.names, z, self.energy(z), how, linear=linear, H=self.H, **known)
 
     def proven(self, root: Root, **known: Any) -> Equilibrium:
         """The equilibrium in an enclosure."""
@@ -82,6 +82,7 @@ class Finder:
             "symbolic" if "exact" in known else "proven",
             Ball(z, np.array(radius)),
             linear=self._stability_of(z),
+            H=self.H,
             **known,
         )
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hamsym.facts.facts import Column, Entry, Fact, Facts, Table
+from hamsym.facts.proofs import ball_text
 from hamsym.facts.wording import (
     by_name,
     error_text,
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from hamsym.dynamics.frequencies import Frequencies
     from hamsym.dynamics.lyapunov import LyapunovExponents
     from hamsym.dynamics.lyapunov_map import LyapunovMap
+    from hamsym.dynamics.normal_forms import NormalForm
     from hamsym.dynamics.sections import Section
 
 _WIDE = 4  # exponents and components in a short table
@@ -151,6 +153,28 @@ def _proven_crossings(section: Section) -> list[Fact]:
     found = [Fact("statement", "proven", proven.statement, proven.statement)]
     widest = [f"{name} {error_text(own.max(initial=0.0))}" for name, own in radii.items()]
     return [*found, Fact("radii", "largest radii", radii, ", ".join(widest))]
+
+
+def _normal_form(form: NormalForm) -> Facts:
+    names = ["*".join(f"I_{k + 1}**{n}" for k, n in enumerate(p) if n) for p in form.coefficients]
+    balls = [ball_text(ball.mid, ball.radius) for ball in form.coefficients.values()]
+    table = Table("terms", names, (Column("coefficient", balls),), "term")
+    omega = [
+        ball_text(m, r) for m, r in zip(form.frequencies.mid, form.frequencies.radius, strict=True)
+    ]
+    listed = "; ".join(str(k) for k in form.resonances[:_WIDE])
+    return Facts(
+        "NormalForm",
+        form.statement,
+        success=True,
+        verdict="proven" if form.stable else "",
+        entries=(
+            table,
+            Fact("frequencies", "frequencies", form.frequencies.mid, ", ".join(omega)),
+            Fact("resonances", "resonant terms left", form.resonances, listed),
+            Fact("domain", "estimated domain", form.domain, f"{form.domain:.3g}"),
+        ),
+    )
 
 
 def _equilibria(found: Equilibria) -> Facts:

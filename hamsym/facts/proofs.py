@@ -183,7 +183,9 @@ def ball_text(mid: Any, radius: Any) -> str:
     mid, radius = float(mid), float(radius)
     digits = 17
     if radius > 0 and math.isfinite(radius) and mid:
-        digits = math.ceil(math.log10(abs(mid) / radius)) + 2 if radius < abs(mid) else 2
+        digits = (
+            math.ceil(math.log10(abs(mid)) - math.log10(radius)) + 2 if radius < abs(mid) else 2
+        )
     text = f"{mid:.{min(max(digits, 2), 17)}g}"
     if not math.isfinite(radius):
         return f"{text} +- {radius}"
