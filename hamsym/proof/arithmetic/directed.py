@@ -23,8 +23,8 @@ TINY = 1e-290
 #: 2^-1060, above the errors of 2^14 products that underflow; by its bits, which no setting of the
 #: processor falsifies.
 UNDERFLOW = np.array(1 << 14, dtype=np.uint64).view(np.float64).item()
-#: The largest float64.
-LARGEST = sys.float_info.max
+#: The largest float64, and the smallest one that is rounded relatively.
+LARGEST, NORMAL = sys.float_info.max, sys.float_info.min
 # Above the relative error of 8 million roundings.
 _ROOM = 1e-9
 # Roundings beside those of the sum itself: of its terms, and of the bound.
@@ -62,7 +62,7 @@ def sum_down(values: Any, terms: int = 1) -> Any:
 
 
 def nearest_up(value: float) -> float:
-    """An upper bound on a number above TINY whose nearest float64 is given."""
+    """An upper bound on a number whose nearest float64 is given, which is at least NORMAL."""
     return value * (1 + 4 * UNIT)
 
 

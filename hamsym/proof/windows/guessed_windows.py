@@ -77,6 +77,8 @@ class WindowGuess:
         self._rows = [
             np.repeat(models.high[:, :1], terms, axis=1) for models in (lemma.rates, lemma.jacobian)
         ]
+        #: The linear equations along y.
+        self._linear = self._rows[1], self._equation.placed, lemma.signs, dim
         self._defect = np.full(dim, math.inf)  # per time, of the try before
         self._round_off = np.zeros(dim)  # defects per time that no window reduced
 
@@ -112,17 +114,8 @@ class WindowGuess:
         # to compare them with those of the others.
         least = D / (_LOOSE * max(self._accuracy, _FINEST))
         units = self._units(w, couplings, sizes, radii, least)
-        values = enclosures().tangents(
-            self._rows[1],
-            self._equation.placed,
-            lemma.signs,
-            self._equation.dim,
-            self._equation.columns,
-            self._tables.integral,
-            w,
-            units,
-            _ITERATIONS,
-        )
+        columns, integral = self._equation.columns, self._tables.integral
+        values = enclosures().tangents(*self._linear, columns, integral, w, units, _ITERATIONS)
         return Guess(enclosures().product(values, self._tables.series), units, factor)
 
     def accepted(
@@ -157,15 +150,9 @@ class WindowGuess:
         rows[columns] = lemma.place.middle[0] + signed * tables.points
         for values, models in ((rows, lemma.rates), (more, lemma.jacobian)):
             values[models.program.still_places] = still_values(models)
-        count = enclosures().collocate(
-            equation.rates.steps,
-            equation.rates.results,
-            rows,
-            tables.integral,
-            lemma.centre,
-            signed,
-            _ITERATIONS,
-        )
+        rates = equation.rates
+        given = rates.steps, rates.results, rows, tables.integral, lemma.centre
+        count = enclosures().collocate(*given, signed, _ITERATIONS)
         sizes = np.abs(rows[:dim]).max(axis=1)
         more[: columns + 1] = rows[: columns + 1]
         enclosures().run_values(equation.jacobian.steps, more)
@@ -181,16 +168,9 @@ class WindowGuess:
         series = lemma.bound_defect(*self._from_centre(y, np.zeros_like(y)))
         for _ in range(_CORRECTIONS):
             before = lemma.D
+            wanted = -enclosures().product(series[:, : self._terms], tables.values)
             found = enclosures().correct(
-                self._rows[1],
-                self._equation.placed,
-                lemma.signs,
-                self._equation.dim,
-                tables.integral,
-                w,
-                -enclosures().product(series[:, : self._terms], tables.values),
-                units,
-                _ITERATIONS,
+                *self._linear, tables.integral, w, wanted, units, _ITERATIONS
             )
             high, low = lemma.y
             pair = two_sum(high, low + enclosures().product(found, tables.series))

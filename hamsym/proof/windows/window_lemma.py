@@ -14,7 +14,7 @@ import numpy as np
 
 from hamsym.errors import CertificationError
 from hamsym.kernel.enclosures import enclosures
-from hamsym.proof.arithmetic.directed import MIDDLE, TINY, UNIT, nearest_up, two_sum, up
+from hamsym.proof.arithmetic.directed import MIDDLE, NORMAL, TINY, UNIT, nearest_up, two_sum, up
 from hamsym.proof.arithmetic.programs import ModelRows
 from hamsym.proof.windows.equation import Equation
 from hamsym.proof.windows.window_sets import (
@@ -98,8 +98,8 @@ class WindowLemma:
 
         Raise CertificationError if float64 has no relative bound of its length.
         """
-        if not place.w > TINY:
-            raise CertificationError(f"a window is shorter than {TINY}; use another unit of time")
+        if not place.w >= NORMAL:
+            raise CertificationError(f"a window is shorter than {NORMAL}; use another unit of time")
         self.place = place
         for rows in (self.rates, self.jacobian):
             self._set_known(rows, 0.0)
@@ -162,20 +162,12 @@ class WindowLemma:
         """
         hull, half = self._hull(V, start, thin), nearest_up(self.place.w)
         equation, accepted = self.equation, None
+        signed = equation.entries, self.signs
+        given = *signed, start.xi, hull, V, self.D, half, units, equation.dim
         tube = 1.5 * (hull + 2 * self.D) + least
         for _ in range(_TUBES):
-            found, d, derivative, _ = enclosures().transport(
-                *self._jacobian_over(tube),
-                equation.entries,
-                self.signs,
-                start.xi,
-                hull,
-                V,
-                self.D,
-                half,
-                units,
-                equation.dim,
-            )
+            series, radius, length = self._jacobian_over(tube)
+            found, d, derivative, _ = enclosures().transport(series, radius, length, *given)
             if (found < tube).all():
                 accepted = Bounds(found, d, derivative)
                 if thin or (tube < 1.1 * found).all():

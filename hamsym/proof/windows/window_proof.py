@@ -253,18 +253,16 @@ class _Comparison:
         self._begin, self._direction = begin, direction
         self._rates = ModelRows(equation.rates, _TERMS)
         self._energy = ModelRows(equation.energy, _TERMS)
-        self._start: tuple[float, float, float] | None = None
+        #: H at the start, if it is conserved.
+        self._start: Rows | None = None
         if equation.conserved:
             place = ModelRows(equation.energy, 4)
             for i, value in enumerate(z0.tolist()):
                 place.set_number(i, (value, 0.0, 0.0))
             place.run(double=True)
             found = place.taken(equation.energy.results)
-            self._start = (
-                float(found.high[0, 0]),
-                float(found.low[0, 0]),
-                float(up(found.radius[0] + np.abs(found.high[0, 1:]).sum())),
-            )
+            radius = up(found.radius + np.abs(found.high[:, 1:]).sum(axis=1))
+            self._start = Rows(found.high[:, :1], found.low[:, :1], radius, np.array([1]))
 
     def bounds(
         self, piece: Piece, window: Window, whole: bool
@@ -300,12 +298,7 @@ class _Comparison:
         energy = self._energy_of(state, centre, slope)
         slack = 0.0
         if self._start is not None:
-            other = Rows(
-                np.array([[self._start[0]]]),
-                np.array([[self._start[1]]]),
-                np.array([self._start[2]]),
-                np.array([1]),
-            )
+            other = self._start
         else:
             other = self._energy_of(y, centre, slope)
             slack = self._energy_slack(window, width, centre, slope)
