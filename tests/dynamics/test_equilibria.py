@@ -147,6 +147,8 @@ _SQUARE = plane((-6, 6), (-6, 6))
 _HILL = KINETIC + "y*p_x - x*p_y - 1/sqrt(x**2 + y**2) - x**2 + y**2/2"
 _WAVE = "(x**2 + p**2)/2 - (x**2 + p**2)**2/4 + x/5"
 _CAMEL = KINETIC + "(4 - 2.1*x**2 + x**4/3)*x**2 + x*y + (4*y**2 - 4)*y**2"
+
+
 @pytest.mark.parametrize(
     ("formula", "word"),
     [
