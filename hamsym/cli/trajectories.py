@@ -281,6 +281,7 @@ def _indicators(
 @click.option("--energy", metavar="NUMBER", help="Energy of states that lack one component.")
 @integrator_options
 @click.option("--crossings", type=int, help="Stop at this number for each trajectory.")
+@click.option("--prove", is_flag=True, help="Prove that these are all, and how exact they are.")
 @output_options("Crossings as .csv or .npz.")
 @rows_option(ROWS)
 def section(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,14 +17,10 @@ from hamsym.flow_maps.building import Builder, Built
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.flow_maps.judging import Judgement, judged
 from hamsym.hamiltonian import HamiltonianLike
-from hamsym.parallel.cluster import require_client
 from hamsym.problems.problem import checked_span
 from hamsym.support.progress import share_progress
 from hamsym.support.suggestions import checked_keywords
 from hamsym.support.validation import require, require_whole
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 _STEPPED = 0.9  # share of the work that ends when the map reaches the last time
 _SMALLEST_TOL = 1e-11  # the solutions of which a map is made are exact to 1e-12
@@ -48,7 +44,6 @@ def flow_map(
     points: int = 2_000,
     seed: int = 0,
     progress: bool | None = None,
-    client: Client | None = None,
     max_solutions: int = 100_000,
 ) -> FlowMap:
     """Find one closed form of all trajectories that start in a box.
@@ -79,8 +74,6 @@ def flow_map(
     progress : bool, optional
         Show the progress, with the number of solutions that is expected, on standard
         error; by default if that is a terminal.
-    client : dask.distributed.Client, optional
-        Solve on the workers of this cluster; see :func:`hamsym.solve_many`. The map is the same.
     max_solutions : int
         Largest number of solutions of which the map may be made.
 
@@ -116,8 +109,6 @@ def flow_map(
     require_whole("seed", seed, 0)
     require_whole("max_solutions", max_solutions, 1)
     absolute = np.broadcast_to(np.asarray(atol, dtype=float), box.H.dim)
-    if client is not None:
-        require_client(client)
     with share_progress(progress, "flow map") as report:
         reached = 0.0
 
@@ -127,7 +118,7 @@ def flow_map(
                 reached = _STEPPED * (t - times[0]) / (times[1] - times[0])
             report(reached, text)
 
-        construction = _Construction(box, times, float(tol), absolute, points, seed, note, client)
+        construction = _Construction(box, times, float(tol), absolute, points, seed, note)
         found = construction.expanded(max_solutions)
         report(1.0)
     return found
@@ -145,10 +136,9 @@ class _Construction:
         points: int,
         seed: int,
         note: Callable[[str], None],
-        client: Client | None,
     ) -> None:
         self._box, self._span, self._tol, self._absolute = box, span, tol, absolute
-        self._points, self._seed, self._note, self._client = points, seed, note, client
+        self._points, self._seed, self._note = points, seed, note
         self._solved, self._most = 0, 0
         smallest = max(_SOLUTIONS * tol, _SMALLEST_SOLUTIONS)
         self._solution_tol = min(smallest, _LARGEST_SOLUTIONS)
@@ -258,7 +248,6 @@ class _Construction:
             parameters=values or None,
             seed=self._seed,
             progress=False,
-            client=self._client,
         )
         if found.table.stopped == "interrupted":
             raise KeyboardInterrupt

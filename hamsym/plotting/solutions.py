@@ -42,7 +42,7 @@ from hamsym.plotting.time_axes import (
     label_time,
     log_lines,
 )
-from hamsym.proof.certificate import Certificate
+from hamsym.proof.windows.certificate import Certificate
 from hamsym.solution.solution import Solution
 
 _MOST_OF_ERRORS = 4_000

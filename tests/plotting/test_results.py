@@ -19,9 +19,9 @@ from hamsym.orbits.certificate import OrbitCertificate
 from hamsym.plotting.equilibria import energy_at_rest
 from hamsym.plotting.names import energy_unit
 from hamsym.plotting.sections import _directions
-from hamsym.proof.ball import Ball
-from hamsym.proof.box_certificate import BoxCertificate
-from hamsym.proof.certificate import Certificate
+from hamsym.proof.arithmetic.ball import Ball
+from hamsym.proof.boxes.box_certificate import BoxCertificate
+from hamsym.proof.windows.certificate import Certificate
 from tests.plotting.inspection import check_layout
 
 HENON_HEILES = "(p_x**2+p_y**2)/2 + (x**2+y**2)/2 + x**2*y - y**3/3"
