@@ -6,6 +6,9 @@ sentence with the expected value, the given one and a suggestion.
 
 from __future__ import annotations
 
+import traceback
+from pathlib import Path
+
 
 class HamsymError(Exception):
     """Base class of all errors of hamsym."""
@@ -13,6 +16,18 @@ class HamsymError(Exception):
 
 class InputError(HamsymError, ValueError):
     """Invalid argument or input."""
+
+    def _render_traceback_(self) -> list[str]:
+        """Return what a notebook shows: the lines of the caller, and the sentence."""
+        inside = str(Path(__file__).parent)
+        frames = traceback.extract_tb(self.__traceback__)
+        own = [frame for frame in frames if not frame.filename.startswith(inside)]
+        beyond = [frame for frame in own if "IPython" not in Path(frame.filename).parts]
+        return [
+            "Traceback (most recent call last):\n",
+            *traceback.format_list(beyond),
+            *traceback.format_exception_only(self),
+        ]
 
 
 class KeywordError(InputError, TypeError):

@@ -124,6 +124,7 @@ def _size(count: int) -> str:
 @click.argument("file", type=click.Path())
 @click.option("-o", "--output", type=click.Path(), metavar="HTML", help="[FILE with .html]")
 @click.option("--title", help="Heading of the report.")
+@click.option("--notes", metavar="TEXT", default="", help="Text of your own below the summary.")
 @click.option(
     "--certificate", type=click.Path(), metavar="CERTIFICATE", help="[FILE.certificate, if any]"
 )

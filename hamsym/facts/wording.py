@@ -7,8 +7,11 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import sympy
 
 from hamsym.facts.facts import Column, Entry, Fact, Facts, Formula
+from hamsym.formula.parser import parse_expression
+from hamsym.formula.printer import FormulaPrinter
 from hamsym.numerics.scales import ratios
 from hamsym.support.text_tables import ROWS, share
 
@@ -183,6 +186,18 @@ def ranges_facts(parameters: Mapping[str, np.ndarray]) -> list[Fact]:
     ]
 
 
+def energy_unit(H: Hamiltonian) -> str:
+    """The unit of H, that of a product of a pair over the time; "" without units."""
+    if not H.units:
+        return ""
+    names = H.q[0].name, H.p[0].name, "t"
+    q, p, t = (H.units.get(name, "1") for name in names)
+    expr = parse_expression(f"({q})*({p})/({t})")
+    angles = {symbol: sympy.Integer(1) for symbol in expr.free_symbols if symbol.name == "rad"}
+    unit = FormulaPrinter()(expr.xreplace(angles))
+    return "J" if unit == "kg*m**2/s**2" else "" if unit == "1" else unit
+
+
 def conservation_facts(
     H: Hamiltonian, energies: tuple[float, float], invariants: Mapping[str, Any]
 ) -> list[Fact]:
@@ -191,9 +206,10 @@ def conservation_facts(
     - energies: H at the start, and its largest change without the work of forces.
     """
     start, drift = energies
-    fact = Fact("energy_error", "|H - E0 - work|", drift, f"at most {drift:.1e}")
+    unit = f" {energy_unit(H)}".rstrip()
+    fact = Fact("energy_error", "|H - E0 - work|", drift, f"at most {drift:.1e}{unit}")
     if H.conserves_energy:
-        text = f"{drift:.1e}, with H = {start:.6g} at the start"
+        text = f"{drift:.1e}{unit}, with H = {start:.6g}{unit} at the start"
         fact = Fact("energy_error", "energy error", drift, text)
     lines = (
         Fact("", f"largest change of {formula}:", None, f"{np.max(change):.1e}")

@@ -44,7 +44,7 @@ class Builder:
 
     - solve: (initial states, parameter values, span) -> Solutions.
     - allowed, scale: Allowed error and size of each component, shape (dim,).
-    - note: Takes a line of text about the progress.
+    - note: Takes a text about the progress, and the time that is reached.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class Builder:
         allowed: np.ndarray,
         scale: np.ndarray,
         random: np.random.Generator,
-        note: Callable[[str], None],
+        note: Callable[..., None],
     ) -> None:
         self._box, self._span, self._solve = box, span, solve
         self._allowed, self._scale, self._random, self._note = allowed, scale, random, note

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -19,10 +18,11 @@ from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.flow_maps.judging import Judgement, judged
 from hamsym.hamiltonian import HamiltonianLike
 from hamsym.problems.problem import checked_span
-from hamsym.support.progress import is_shown
+from hamsym.support.progress import share_progress
 from hamsym.support.suggestions import checked_keywords
 from hamsym.support.validation import require, require_whole
 
+_STEPPED = 0.9  # share of the work that ends when the map reaches the last time
 _SMALLEST_TOL = 1e-11  # the solutions of which a map is made are exact to 1e-12
 _SOLUTIONS = 0.02  # tolerance of these solutions, relative to that of the map
 _SMALLEST_SOLUTIONS, _LARGEST_SOLUTIONS = 1e-12, 1e-7  # looser ones are not faster
@@ -72,7 +72,7 @@ def flow_map(
     seed : int
         Of the random points, and of the basis.
     progress : bool, optional
-        Write lines about the progress, with the number of solutions that is expected, on standard
+        Show the progress, with the number of solutions that is expected, on standard
         error; by default if that is a terminal.
     max_solutions : int
         Largest number of solutions of which the map may be made.
@@ -109,14 +109,19 @@ def flow_map(
     require_whole("seed", seed, 0)
     require_whole("max_solutions", max_solutions, 1)
     absolute = np.broadcast_to(np.asarray(atol, dtype=float), box.H.dim)
-    show = is_shown(progress)
+    with share_progress(progress, "flow map") as report:
+        reached = 0.0
 
-    def note(text: str) -> None:
-        if show:
-            print(f"flow map: {text}", file=sys.stderr, flush=True)
+        def note(text: str, t: float | None = None) -> None:
+            nonlocal reached
+            if t is not None:
+                reached = _STEPPED * (t - times[0]) / (times[1] - times[0])
+            report(reached, text)
 
-    construction = _Construction(box, times, float(tol), absolute, points, seed, note)
-    return construction.expanded(max_solutions)
+        construction = _Construction(box, times, float(tol), absolute, points, seed, note)
+        found = construction.expanded(max_solutions)
+        report(1.0)
+    return found
 
 
 class _Construction:

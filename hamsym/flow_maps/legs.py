@@ -77,7 +77,7 @@ class LegBuilder:
     - solve: (domain, scaled inputs, span) -> Solutions.
     - allowed: Allowed error of each component, shape (dim,).
     - may_end: Whether the leg may end early because of its degrees.
-    - note: Takes a line of text about the progress.
+    - note: Takes a text about the progress, and the time that is reached.
     - splits: Whether the domain has to be split, in the direction ``widest``; then there is no leg.
     - failure: Why the leg ends before the span; empty if it does not, or ends because of its
       degrees.
@@ -93,7 +93,7 @@ class LegBuilder:
         random: np.random.Generator,
         *,
         may_end: bool,
-        note: Callable[[str], None],
+        note: Callable[..., None],
     ) -> None:
         self.domain, self._solve, self._allowed = domain, solve, allowed
         self._random, self._may_end, self._note = random, may_end, note
@@ -136,7 +136,8 @@ class LegBuilder:
         if not fine.all() and not self._end_after(int(np.argmin(fine)), numbers[-1]):
             return
         predicted = int(numbers[len(self._edges) - 2])
-        self._note(f"t = {self._begin + self._edges[-1]:.6g}: about {predicted:,} solutions")
+        end = self._begin + self._edges[-1]
+        self._note(f"t = {end:.6g}: about {predicted:,} solutions", end)
 
     def _signs(self, d: int) -> np.ndarray:
         """Return directions of diagonals, shape (lines, d)."""

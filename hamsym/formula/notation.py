@@ -131,5 +131,11 @@ class _TypesetPrinter(LatexPrinter):  # type: ignore[misc]
         self._settings["fold_short_frac"] = short
         return text
 
+    def _print_Derivative(self, expr: sympy.Derivative) -> str:
+        if len(expr.variables) > 1 or not expr.expr.is_Symbol:
+            text: str = super()._print_Derivative(expr)
+            return text
+        return rf"\frac{{d {self._print(expr.expr)}}}{{d {self._print(expr.variables[0])}}}"
+
     def _as_ordered_terms(self, expr: sympy.Expr, order: Any = None) -> list[sympy.Expr]:
         return self._notation.terms(expr)

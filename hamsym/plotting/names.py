@@ -9,8 +9,7 @@ from typing import Any
 import sympy
 
 from hamsym.errors import InputError
-from hamsym.formula.parser import parse_expression
-from hamsym.formula.printer import FormulaPrinter
+from hamsym.facts import wording
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.plotting.style import MAX_LINES
 from hamsym.support.suggestions import did_you_mean
@@ -103,7 +102,7 @@ def math_unit(unit: str) -> str:
     >>> math_unit("kg*m/s**2"), math_unit("1")
     ('kg·m/s$^{2}$', '')
     """
-    if unit == "1":
+    if unit in ("", "1"):
         return ""
     text = re.sub(r"\*\*(?:\((-?[0-9./]+)\)|(-?[0-9.]+))", r"$^{\1\2}$", escaped(unit))
     return text.replace("*", "·")
@@ -157,14 +156,8 @@ def time_name(H: Hamiltonian) -> str:
 
 
 def energy_unit(H: Hamiltonian) -> str:
-    """Return the unit of H, that of a product of a pair over the time; "" without units."""
-    if not H.units:
-        return ""
-    q, p, t = (H.units.get(name, "1") for name in (H.q[0].name, H.p[0].name, time_name(H)))
-    expr = parse_expression(f"({q})*({p})/({t})")
-    angles = {symbol: sympy.Integer(1) for symbol in expr.free_symbols if symbol.name == "rad"}
-    unit = FormulaPrinter()(expr.xreplace(angles))
-    return math_unit("J" if unit == "kg*m**2/s**2" else unit)
+    """Return the unit of H as it is written on axes; "" without units."""
+    return math_unit(wording.energy_unit(H))
 
 
 def known_name(name: Any, names: Sequence[str], what: str) -> str:

@@ -102,7 +102,7 @@ _ELSEWHERE = {
     "t_eval": _TIMES,
     "dense_output": _TIMES,
     "target_error": "give solve a tolerance, tol=...: a training stops when its error is within it",
-    "rtol": "give tol=..., or dt=... or steps=... where steps have a fixed length",
+    "rtol": "give tol=..., which is relative to the size of each component",
     "max_step": "give dt=... or steps=..., or method=hamsym.Features(max_window=...) to solve",
     "events": (
         "call solution.events('x = 0, p_x > 0') of the result, or section(H, z0, span, "

@@ -280,7 +280,7 @@ class Formulas(Shown, list[sympy.Eq]):
         self.notation = notation or Notation()
 
     def _repr_latex_(self) -> str:
-        return aligned(((sympy.latex(each.lhs), each.rhs) for each in self), self.notation)
+        return aligned(((self.notation.latex(each.lhs), each.rhs) for each in self), self.notation)
 
 
 def aligned(equations: Iterable[tuple[str, sympy.Expr]], notation: Notation) -> str:

@@ -47,6 +47,17 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]
             both.appendChild(part.cloneNode(True))
         return both
 
+    def _print_Derivative(self, expr: sympy.Derivative) -> Any:
+        if len(expr.variables) > 1 or not expr.expr.is_Symbol:
+            return super()._print_Derivative(expr)
+        fraction = self.dom.createElement("mfrac")
+        for part in (expr.expr, expr.variables[0]):
+            row = self.dom.createElement("mrow")
+            row.appendChild(self._text("mi", "d"))
+            row.appendChild(self._print(part))
+            fraction.appendChild(row)
+        return fraction
+
     def _print_Heaviside(self, expr: sympy.Expr) -> Any:
         row = self.dom.createElement("mrow")
         row.appendChild(self._text("mi", "Θ"))

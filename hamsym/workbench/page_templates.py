@@ -9,6 +9,7 @@ import re
 import jinja2
 from markupsafe import Markup
 
+_WHOLE = re.compile(r"[-−]?[\d,]+(?![\d,])")
 _EXPONENT = re.compile(r"\d[\d.]*e[+-]\d+")
 
 
@@ -20,7 +21,34 @@ def page_template(name: str) -> jinja2.Template:
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters["unbroken"] = unbroken
+    environment.filters["at_point"] = at_point
     return environment.from_string(file.read_text("utf-8"))
+
+
+def at_point(rows: list[list[str]]) -> list[list[str]]:
+    """Return rows of texts in which the points of the numbers of a column are in one place.
+
+    The columns are flush right in a font of one width; spaces that do not break follow numbers.
+
+    Examples
+    --------
+    >>> [row[1].replace("\\xa0", "_") for row in at_point([["x", "1.25"], ["p", "10"], ["q", ""]])]
+    ['1.25', '10___', '']
+    """
+    columns = []
+    for column in zip(*rows, strict=True):
+        found = [_WHOLE.match(text) for text in column]
+        tails = [
+            len(text) - each.end() if each else 0 for text, each in zip(column, found, strict=True)
+        ]
+        most = max(tails)
+        columns.append(
+            [
+                text + "\xa0" * (most - tail) if each else text
+                for text, tail, each in zip(column, tails, found, strict=True)
+            ]
+        )
+    return [list(row) for row in zip(*columns, strict=True)]
 
 
 def unbroken(text: str) -> Markup:

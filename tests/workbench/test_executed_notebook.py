@@ -66,7 +66,7 @@ def test_nothing_is_written_to_standard_error() -> None:
 def test_formulas_are_typeset() -> None:
     assert "<math" in data("formula")["text/html"]
     assert data("formula")["text/latex"].startswith("$")
-    assert r"\frac{d}{d t} \theta &= p" in data("equations")["text/latex"]
+    assert r"\frac{d \theta}{d t} &= p" in data("equations")["text/latex"]
 
 
 def test_figures_appear_without_any_magic() -> None:

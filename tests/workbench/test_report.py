@@ -417,3 +417,15 @@ def test_names_that_are_no_text_are_written(solution: hamsym.Solution, tmp_path:
 def test_too_long_a_name_is_an_error_of_files(solution: hamsym.Solution, tmp_path: Path) -> None:
     with pytest.raises(FileError, match="cannot be written"):
         hamsym.report(solution, tmp_path / ("x" * 300 + ".html"), compare=False)
+
+
+def test_notes_are_escaped_paragraphs(tmp_path: Path) -> None:
+    solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 3))
+    path = tmp_path / "r.html"
+    hamsym.report(solution, path, notes="First <b>one</b>.\n\nSecond.", compare=False)
+    text = path.read_text("utf-8")
+    assert "<p>First &lt;b&gt;one&lt;/b&gt;.</p>" in text
+    assert "<p>Second.</p>" in text
+    assert "Physical Review E 105" in text
+    with pytest.raises(hamsym.InputError, match="notes must be text, not list"):
+        hamsym.report(solution, path, notes=["a"], compare=False)  # type: ignore[arg-type]

@@ -20,7 +20,10 @@ from hamsym.workbench.notebooks.cards import card_of
 from hamsym.workbench.page_templates import page_template
 
 _MOST_DRAWN = 2_000_000  # numbers that the figure of a result may evaluate
-_WIDTH = 960  # pixels of a figure, shown at half the size for sharp lines
+_DPI = 96  # pixels of a screen in an inch
+_SHARP = 144  # of a picture that is small
+_LARGEST = 58_000  # characters of a card with its figure
+_LEAST = 20_000  # for the figure, whatever else the card says
 _LONGEST = 2_000  # characters of the text of a result that has no card
 
 
@@ -50,36 +53,44 @@ def representation(result: Any) -> str:
     """
     try:
         facts = describe(result)
-        figure, width = _figure(result, facts), _WIDTH // 2
-        template = page_template("notebook")
-        return template.render(facts=facts, card=card_of(facts), figure=figure, width=width)
+        template, card = page_template("notebook"), card_of(facts)
+        text = template.render(facts=facts, card=card, figure="", width=0)
+        figure, width = _figure(result, facts, max(_LARGEST - len(text), _LEAST))
+        return template.render(facts=facts, card=card, figure=figure, width=width)
     except Exception:  # an object that cannot be described must not stop a notebook
         return str(Markup("<pre>{}</pre>").format(_text(result)))
 
 
-def _figure(result: Any, facts: Facts) -> str:
-    """The figure of a result as PNG in base64; empty if it has none, or it would take long."""
+def _figure(result: Any, facts: Facts, room: int) -> tuple[str, int]:
+    """Return the figure of a result as PNG in base64, and its width in pixels of a screen.
+
+    It is empty if it has none, or it would take long.
+
+    - room: Most characters; a picture that is larger gets fewer pixels.
+    """
     if not facts.drawn <= _MOST_DRAWN:
-        return ""
+        return "", 0
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a display is no place for advice
             figure = result.plot() if hasattr(result, "plot") else hamsym.plot(result)
-            buffer = io.BytesIO()
-            figure.savefig(buffer, format="png", dpi=_WIDTH / figure.get_figwidth())
-            content = _few_colours(buffer)
+            content = _picture(figure, _SHARP)
+            if len(content) > room:
+                content = _picture(figure, max(_DPI * 0.7, 0.97 * _SHARP * room / len(content)))
     except Exception:  # failed results may have nothing that can be drawn
-        return ""
-    return base64.b64encode(content).decode()
+        return "", 0
+    return content, round(_DPI * figure.get_figwidth())
 
 
-def _few_colours(buffer: io.BytesIO) -> bytes:
-    """A picture with 64 colours, a quarter of its size: a notebook keeps it in its file."""
+def _picture(figure: Any, dpi: float) -> str:
+    """A picture with 32 colours on no ground, for light and dark pages, a quarter of its size."""
     from PIL import Image
 
-    smaller = io.BytesIO()
-    Image.open(buffer).convert("RGB").quantize(64).save(smaller, "png", optimize=True)
-    return smaller.getvalue()
+    drawn, smaller = io.BytesIO(), io.BytesIO()
+    figure.savefig(drawn, format="png", dpi=dpi, transparent=True)
+    coloured = Image.open(drawn).quantize(32, method=Image.Quantize.FASTOCTREE)
+    coloured.save(smaller, "png", optimize=True)
+    return base64.b64encode(smaller.getvalue()).decode()
 
 
 def _text(result: Any) -> str:

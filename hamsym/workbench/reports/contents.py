@@ -96,6 +96,17 @@ def solution_digest(solution: Solution) -> str:
         return f"none: {error}"
 
 
+def citation() -> list[str]:
+    """Return what a text that uses hamsym cites: the program, and the paper of its method."""
+    version = importlib.metadata.version("hamsym")
+    return [
+        f"The hamsym developers, hamsym {version}: from a Hamiltonian to its equations, code, "
+        "trajectories and their proven errors.",
+        "M. Mattheakis, D. Sondak, A. S. Dogra, P. Protopapas, Hamiltonian neural networks for "
+        "solving equations of motion, Physical Review E 105, 065305 (2022).",
+    ]
+
+
 def versions(solution: Solution) -> list[tuple[str, str]]:
     """Return names and versions of the programs that made the report."""
     found = [("hamsym", importlib.metadata.version("hamsym"))]

@@ -48,6 +48,7 @@ def report(
     path: str | os.PathLike[str],
     *,
     title: str | None = None,
+    notes: str = "",
     certificate: Certificate | str | os.PathLike[str] | None = None,
     certify: bool = False,
     compare: bool = True,
@@ -67,6 +68,8 @@ def report(
         File to write, replaced in one step.
     title : str, optional
         Heading of the report.
+    notes : str
+        Text of your own below the summary; an empty line begins a paragraph.
     certificate : Certificate or path, optional
         By default that of the solution, or of the file beside it with the ending ``.certificate``.
         It is verified by repeating its proof.
@@ -107,6 +110,8 @@ def report(
         raise InputError(f"{backend!r} is not a backend; choose one of {', '.join(BACKENDS)}")
     if time_limit is not None:
         require_positive("time_limit", time_limit)
+    if not isinstance(notes, str):
+        raise InputError(f"notes must be text, not {type(notes).__name__}")
     if certificate is not None and certify:
         raise InputError("certificate and certify exclude each other; give one of them")
     file = None if isinstance(solution, Solution) else _path("solution", solution)
@@ -121,6 +126,8 @@ def report(
     code, lines = contents.source(found.H, backend, _MOST_LINES)
     text = page_template("report").render(
         title=title or "Solution of Hamilton's equations",
+        notes=[part.strip() for part in notes.split("\n\n") if part.strip()],
+        citation=contents.citation(),
         file=None if file is None else file.name,
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         proof=proof,
