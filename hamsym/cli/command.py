@@ -116,7 +116,7 @@ class Command(click.Command):
                 "formula",
                 ctx,
             ) from None
-        if rest:
+        if rest and not ctx.resilient_parsing:  # as for the completion of words
             names = [option for each in self.get_params(ctx) for option in each.opts]
             option = next((name for name in ("--certificate", "--z0") if name in names), None)
             remedy = f"give it as {option} {rest[0]}" if option else "quotes keep a formula in one"

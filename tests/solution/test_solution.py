@@ -419,6 +419,6 @@ def test_figure_has_its_panels(solution: Solution) -> None:
         "Estimated error",
         "Energy error",
         "Residual $\\ell$",
-        "Loss",
+        "Best residual so far",
     ]
     assert all(axis.lines for axis in figure.axes)

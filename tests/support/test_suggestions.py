@@ -102,7 +102,11 @@ def test_keywords_of_a_hamiltonian_are_answered() -> None:
             lambda: hamsym.solve(OSCILLATOR, [1.0, 0.0], tol=1e-3),
             "solve is called without span; give solve(H, z0, span)",
         ),
-        (hamsym.sweep, "sweep is called without H, z0, span; give sweep(H, z0, span)"),
+        (
+            hamsym.sweep,
+            "sweep is called without H, z0, span, settings, folder; give sweep(H, z0, span, "
+            "settings, folder=...)",
+        ),
         (hamsym.flow_map, "flow_map is called without H, z0, span; give flow_map(H, z0, span)"),
         (Hamiltonian, "Hamiltonian is called without expression; give Hamiltonian(expression)"),
     ],
