@@ -7,6 +7,9 @@ from .dynamics.chaos_indicators import chaos_indicators as chaos_indicators
 from .dynamics.equilibria import equilibria as equilibria
 from .dynamics.equilibrium import Equilibria as Equilibria
 from .dynamics.equilibrium import Equilibrium as Equilibrium
+from .dynamics.frequencies import Frequencies as Frequencies
+from .dynamics.frequencies import frequencies as frequencies
+from .dynamics.frequencies import time_average as time_average
 from .dynamics.lyapunov import LyapunovExponents as LyapunovExponents
 from .dynamics.lyapunov import lyapunov as lyapunov
 from .dynamics.lyapunov_map import LyapunovMap as LyapunovMap
@@ -55,11 +58,14 @@ from .solution.solution import Solution as Solution
 from .solving.solve import solve as solve
 from .study.compare import Comparison as Comparison
 from .study.compare import compare as compare
-from .study.grid import StoredSweep as StoredSweep
 from .study.sweep import Sweep as Sweep
 from .study.sweep import sweep as sweep
 from .symbolic.invariant import Invariant as Invariant
 from .symbolic.invariant import Invariants as Invariants
+from .transformations.regularization import Regularization as Regularization
+from .transformations.regularization import regularize as regularize
+from .transformations.transformation import Transformation as Transformation
+from .transformations.transformation import transform as transform
 from .workbench.animations.animate import Animation as Animation
 from .workbench.animations.animate import animate as animate
 from .workbench.notebooks.representation import representation as representation

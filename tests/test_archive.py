@@ -730,21 +730,6 @@ def test_sensitivity_against_finite_differences(name: str) -> None:
     )
 
 
-def test_gradients_reach_the_initial_state() -> None:
-    problem = hamsym.systems.henon_heiles()
-    solution = hamsym.solve(problem.H, problem.z0, (0, 10), tol=1e-10)
-    z0 = torch.tensor(problem.z0, dtype=torch.float64, requires_grad=True)
-    t = torch.tensor([1.0, 7.5], dtype=torch.float64)
-    z = solution(t, z0=z0)
-    torch.testing.assert_close(z.detach(), solution(t))
-    (gradient,) = torch.autograd.grad(z[1, 2], z0)
-    np.testing.assert_allclose(gradient, solution.sensitivity(7.5)[2], rtol=1e-12)
-    with pytest.raises(InputError, match="z0 differs from the initial state"):
-        solution(t, z0=z0 + 1)
-    with pytest.raises(InputError, match="both tensors"):
-        solution([1.0], z0=z0)
-
-
 @pytest.mark.slow
 def test_sensitivity_of_a_trained_network() -> None:
     H = Hamiltonian("p**2/2 + x**2/2")

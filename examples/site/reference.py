@@ -29,10 +29,11 @@ GROUPS = {
     "Comparison, figures and files": ["compare", "Comparison", "plot", "save", "load"],
     "Errors": ["HamsymError", "InputError", "FileError", "CertificationError"],
 }
-GROUPS["Many trajectories"] += ["StoredSweep"]
+GROUPS["Equations and code"] += ["transform", "Transformation", "regularize", "Regularization"]
 GROUPS["Comparison, figures and files"] += ["describe", "Facts"]
 GROUPS["Methods of solve"] += ["Adam", "Regularizer"]
 GROUPS["Proofs"] += ["BoxCertificate"]
+GROUPS["Dynamics"] += ["frequencies", "Frequencies", "time_average"]
 GROUPS["Dynamics"] += ["chaos_indicators", "ChaosIndicators", "monodromy"]
 GROUPS["Proofs"] += ["SectionCertificate"]
 GROUPS["Equilibria and periodic orbits"] += ["periodic_orbit", "PeriodicOrbit", "orbit_family"]
@@ -54,7 +55,8 @@ _MEMBERS = """\
 # Headers of the kernel, whose first comments state lemmas of the proofs, and modules of proofs.
 HEADERS = ("balls.h", "series.h", "enclosures.h")
 LEMMAS = (
-    "windows.proven_windows",
+    "windows.window_lemma",
+    "windows.window_sets",
     "windows.trial_models",
     "windows.window_proof",
     "windows.enclose",

@@ -56,7 +56,9 @@ def fit(
     """Fit parameters and components of the start to noisy data; exit 1 without success.
 
     DATA is a .csv file with a header: the column t, and one for each observable, which is a
-    component of the state or a formula, e.g. "r*cos(phi)". Empty cells are missing values.
+    component of the state or a formula, e.g. "r*cos(phi)". Empty cells are missing values. Made
+    data: hamsym integrate "p**2/2 - g*cos(theta)" -P g=1.3 --z0 theta=0.9,p=0 --t-end 10 --tol 1e-9
+    --saves 40 -o swing.csv
     """
     from hamsym.fitting.fit import fit as run
 

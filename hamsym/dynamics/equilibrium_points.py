@@ -24,6 +24,7 @@ from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof.arithmetic.ball import Ball
 from hamsym.proof.arithmetic.balls import above, exact, working
+from hamsym.proof.arithmetic.directed import TINY
 from hamsym.proof.public_check import require_same
 from hamsym.proof.zeros.derivative_balls import DerivativeBalls
 from hamsym.proof.zeros.roots import BITS, Root, enclosed_root
@@ -33,7 +34,6 @@ _SAME = 1e-7  # of the sizes: the same, for other points
 _SAME_ENERGY = 1e-9
 _PLAUSIBLE = 1e-9  # of the terms of its row: |g| at a numerical point
 _COARSE = 40  # bits whose roundings include those of float64, in any order of operations
-_TINY = 1e-290  # what underflows
 _BLUR = 1e-9  # of the sizes: uncertainty of a numerical point
 
 
@@ -92,7 +92,7 @@ class Finder:
             balls = self._balls[0]
             found = [balls.energy(root.enclosure), *balls.gradient(root.enclosure)]
             middle = [float(entry.mid()) for entry in found]
-            radius = [above(entry.rad()) + _TINY for entry in found]
+            radius = [above(entry.rad()) + TINY for entry in found]
         slopes = np.asarray(self.H.compile("numpy").gradient(z))
         require_same(
             "Hamiltonian",

@@ -49,7 +49,8 @@ class Section(Drawn, Saved):
     ``plot()`` draws them in a plane that the surface leaves free, with a colour for each start, and
     ``plot("x", "p")`` in that of two components. Up to twelve starts have an entry in the legend
     with what varies, more a colour bar. If the surface is crossed both ways, dots are crossings
-    where its left side rises, crosses where it falls.
+    where its left side rises, crosses where it falls. A grey line is the boundary of the states of
+    one energy.
 
     Attributes
     ----------

@@ -13,7 +13,7 @@ from hamsym.facts.facts import Facts
 from hamsym.facts.solutions import solution_facts
 from hamsym.solution.digest import digest
 from hamsym.solution.solution import Solution
-from hamsym.solving.recipe import command_line, omissions, python_lines
+from hamsym.solving.recipe import omissions, python_lines
 from hamsym.support.records import as_json
 
 _WIDTH = 96  # characters of a line
@@ -45,7 +45,6 @@ class About:
             "sha256": self.digest,
             "hamsym": hamsym.__version__,
             "python": python_lines(solution) if known else None,
-            "command": command_line(solution) if known else None,
             "omissions": omissions(solution),
         }
 
@@ -69,8 +68,7 @@ class About:
         solution, settings = self.solution, self.solution.settings
         version = f"Made by hamsym {hamsym.__version__}"
         lines = [f"{version}, seed {settings.seed}. To make the solution again:"]
-        for text in (python_lines(solution), command_line(solution)):
-            lines += ["", *(f"    {line}" for line in text.splitlines())]
+        lines += ["", *(f"    {line}" for line in python_lines(solution).splitlines())]
         missing = " ".join(omissions(solution))
         return [*lines, "", *textwrap.wrap(missing, _WIDTH)] if missing else lines
 

@@ -21,6 +21,7 @@ from hamsym.facts.wording import (
 if TYPE_CHECKING:
     from hamsym.dynamics.chaos_indicators import ChaosIndicators
     from hamsym.dynamics.equilibrium import Equilibria, Equilibrium
+    from hamsym.dynamics.frequencies import Frequencies
     from hamsym.dynamics.lyapunov import LyapunovExponents
     from hamsym.dynamics.lyapunov_map import LyapunovMap
     from hamsym.dynamics.sections import Section
@@ -99,6 +100,27 @@ def _lyapunov_map(found: LyapunovMap) -> Facts:
         message="",
         drawn=found.exponents.size,
         members=found.success.size,
+    )
+
+
+def _frequencies(found: Frequencies) -> Facts:
+    fields = ("frequency", "amplitude", "phase", "error", "drift")
+    places = [p for p in np.ndindex(found.frequency.shape) if np.isfinite(found.frequency[p])]
+    forms = (".10g", ".4g", ".4f", ".1e", ".1e")
+    arrays = {name: getattr(found, name) for name in fields}
+    columns = [
+        Column(name, [arrays[name][place] for place in places], form)
+        for name, form in zip(fields, forms, strict=True)
+    ]
+    names = [", ".join([*map(str, place[:-2]), found.signals[place[-2]]]) for place in places]
+    return facts_of(
+        found,
+        "",
+        Table("terms", names, tuple(columns), "signal", wide=_WIDE),
+        *(Fact(name, value=own) for name, own in arrays.items()),
+        Fact("rest", "rest, relative", found.rest, error_text(np.nanmax(found.rest, initial=0.0))),
+        time_fact(found.seconds),
+        drawn=found.frequency.size,
     )
 
 

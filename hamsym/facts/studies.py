@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -17,7 +16,6 @@ from hamsym.facts.wording import (
 
 if TYPE_CHECKING:
     from hamsym.study.compare import Comparison, Row
-    from hamsym.study.grid import StoredSweep
     from hamsym.study.sweep import Sweep
 
 _ERROR = ".2e"
@@ -141,36 +139,3 @@ def _settings(sweep: Sweep) -> Table:
         ),
         "settings",
     )  # fmt: skip
-
-
-def _stored_sweep(sweep: StoredSweep) -> Facts:
-    size, axes = math.prod(sweep.shape), sweep.store.axes
-    headline = f"{sweep.done:,} of {size:,} points in {sweep.path.name}"
-
-    def succeeded() -> list[Fact]:
-        success = sweep.values().get("success")
-        count = 0 if success is None else int(success.sum())
-        return [Fact("succeeded", "", count, f"{count:,} succeeded" if success is not None else "")]
-
-    return Facts(
-        "StoredSweep",
-        headline,
-        success=sweep.complete,
-        verdict="complete" if sweep.complete else "interrupted" if sweep.interrupted else "open",
-        given=(Fact("shape", "grid", sweep.shape, " x ".join(map(str, sweep.shape))),),
-        entries=(
-            succeeded,
-            Table(
-                "axes",
-                list(axes),
-                (
-                    Column("values", [len(axis) for axis in axes.values()], ","),
-                    Column("from", [axis.min() for axis in axes.values()], ".6g"),
-                    Column("to", [axis.max() for axis in axes.values()], ".6g"),
-                ),
-                "axis",
-            ),
-            Fact("done", value=sweep.done),
-        ),
-        members=size,
-    )

@@ -6,7 +6,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,14 +18,10 @@ from hamsym.flow_maps.building import Builder, Built
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.flow_maps.judging import Judgement, judged
 from hamsym.hamiltonian import HamiltonianLike
-from hamsym.parallel.cluster import require_client
 from hamsym.problems.problem import checked_span
 from hamsym.support.progress import is_shown
 from hamsym.support.suggestions import checked_keywords
 from hamsym.support.validation import require, require_whole
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 _SMALLEST_TOL = 1e-11  # the solutions of which a map is made are exact to 1e-12
 _SOLUTIONS = 0.02  # tolerance of these solutions, relative to that of the map
@@ -48,7 +44,6 @@ def flow_map(
     points: int = 2_000,
     seed: int = 0,
     progress: bool | None = None,
-    client: Client | None = None,
     max_solutions: int = 100_000,
 ) -> FlowMap:
     """Find one closed form of all trajectories that start in a box.
@@ -79,8 +74,6 @@ def flow_map(
     progress : bool, optional
         Write lines about the progress, with the number of solutions that is expected, on standard
         error; by default if that is a terminal.
-    client : dask.distributed.Client, optional
-        Solve on the workers of this cluster; see :func:`hamsym.solve_many`. The map is the same.
     max_solutions : int
         Largest number of solutions of which the map may be made.
 
@@ -122,9 +115,7 @@ def flow_map(
         if show:
             print(f"flow map: {text}", file=sys.stderr, flush=True)
 
-    if client is not None:
-        require_client(client)
-    construction = _Construction(box, times, float(tol), absolute, points, seed, note, client)
+    construction = _Construction(box, times, float(tol), absolute, points, seed, note)
     return construction.expanded(max_solutions)
 
 
@@ -140,10 +131,9 @@ class _Construction:
         points: int,
         seed: int,
         note: Callable[[str], None],
-        client: Client | None,
     ) -> None:
         self._box, self._span, self._tol, self._absolute = box, span, tol, absolute
-        self._points, self._seed, self._note, self._client = points, seed, note, client
+        self._points, self._seed, self._note = points, seed, note
         self._solved, self._most = 0, 0
         smallest = max(_SOLUTIONS * tol, _SMALLEST_SOLUTIONS)
         self._solution_tol = min(smallest, _LARGEST_SOLUTIONS)
@@ -253,7 +243,6 @@ class _Construction:
             parameters=values or None,
             seed=self._seed,
             progress=False,
-            client=self._client,
         )
         if found.table.stopped == "interrupted":
             raise KeyboardInterrupt

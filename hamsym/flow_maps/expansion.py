@@ -1,9 +1,8 @@
 """Evaluation of expansions z^ = z_a + (t - t_a) N(t, y) over a box, with numpy or torch.
 
-The text of this module is a part of exported modules: it imports nothing but numpy. ``xp`` is the
-module numpy or torch; queries are along the first axis. The inputs are what varies in the box,
-and y are the inputs scaled to [-1, 1]; T_nu(y) = prod_k T_{nu_k}(y_k) are products of Chebyshev
-polynomials with multi-indices nu, the rows of ``degrees``.
+``xp`` is the module numpy or torch; queries are along the first axis. The inputs are what varies in
+the box, and y are the inputs scaled to [-1, 1]; T_nu(y) = prod_k T_{nu_k}(y_k) are products of
+Chebyshev polynomials with multi-indices nu, the rows of ``degrees``.
 
 Leg, Chain and Split have two methods. ``evaluate(t, inputs, xp)`` returns z^ at times of shape (n,)
 for inputs of shape (n, d); ``derivatives(t, inputs)`` returns z^, dz^/dt and dz^/d(inputs), of

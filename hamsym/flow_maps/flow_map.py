@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -13,7 +12,6 @@ import hamsym
 from hamsym.errors import InputError
 from hamsym.flow_maps.box import Box
 from hamsym.flow_maps.compiled_piece import MAPS
-from hamsym.flow_maps.export import export_flow_map
 from hamsym.flow_maps.judging import Judgement
 from hamsym.flow_maps.time_order import require_inputs, require_order
 from hamsym.hamiltonian import Hamiltonian
@@ -336,18 +334,3 @@ class FlowMap(Drawn, Saved):
         (2, True)
         """
         return hamsym.certify(self, box=box, time_limit=time_limit, max_parts=max_parts)
-
-    # -- files -------------------------------------------------------------------------------
-
-    def export(self, path: str | os.PathLike[str]) -> None:
-        """Write the map as a module of Python that needs only numpy.
-
-        Its functions ``state(t, inputs)`` and ``jacobian(t, inputs)`` take the inputs as columns in
-        the order of ``inputs``; its docstring names them, with the box and the estimated error.
-
-        Raises
-        ------
-        FileError
-            If the file cannot be written.
-        """
-        export_flow_map(self, path)

@@ -1,4 +1,4 @@
-"""Solution by a chain of networks, trained to a tolerance."""
+"""Solution by a chain of networks on the windows of a march, trained to a tolerance."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ import numpy as np
 import torch
 
 from hamsym.errors import InputError
-from hamsym.networks.chain import MAX_WINDOWS, ChainTraining
+from hamsym.networks.chain import ChainTraining
 from hamsym.networks.chain_error import ErrorOfChain, estimate_chain_error
 from hamsym.networks.chain_training import ChainRun, ChainSettings, Layout, TrainedChain
-from hamsym.networks.equal_windows import train_windows
 from hamsym.networks.methods import NetworkChain
 from hamsym.networks.record import TrainingState
 from hamsym.networks.window_training import late
-from hamsym.problems.problem import InitialValueProblem, checked_window
+from hamsym.problems.problem import InitialValueProblem
+from hamsym.random_features.features import Features
+from hamsym.random_features.method import solve_by_features
 from hamsym.solution.acceptance import accepted
 from hamsym.solution.discontinuities import first_jump, unresolved
 from hamsym.solution.settings import Settings
@@ -32,7 +33,7 @@ _LEAST_LOCAL, _LARGEST_LOCAL = 1e-12, 1e-10
 _PASSES = 3
 _MARGIN = 0.3  # share of the allowed error at which a tighter chain aims
 _HIDDEN_STEPS = 20
-_FEWEST_WINDOWS = 4  # of a span
+_GUESS = 1e-6  # least tolerance of the march that finds the windows
 _JUMP_SAMPLES = 33  # in each window
 _PERCENT = 1_000  # steps of the progress bar
 
@@ -68,7 +69,6 @@ def _jump(solution: Solution, record: ChainTraining) -> str | None:
 def solve_by_chain(problem: InitialValueProblem, method: NetworkChain) -> Solution:
     """Train a chain of networks to the tolerance of the problem."""
     H, span, tol = problem.H, problem.span, problem.tol
-    whole = abs(span[1] - span[0])
     if method.windows is not None and problem.breakpoints:
         raise InputError(
             f"windows={method.windows} makes equal windows, but breakpoints are given too; leave "
@@ -77,19 +77,19 @@ def solve_by_chain(problem: InitialValueProblem, method: NetworkChain) -> Soluti
     settings = ChainSettings(
         min(max(_LOCAL * tol, _LEAST_LOCAL), _LARGEST_LOCAL),
         _HIDDEN_STEPS if method.train_hidden else 0,
-        problem.window_ends(),
-        checked_window(method.max_window, span, whole / _FEWEST_WINDOWS, MAX_WINDOWS),
-        None if method.time_limit is None else time.perf_counter() + method.time_limit,
         max(_LOCAL * tol, _LEAST_LOCAL),
+        None if method.time_limit is None else time.perf_counter() + method.time_limit,
     )
-    layout = Layout(method.hidden, method.activation, method.envelope, method.frequency)
     wall, cpu = time.perf_counter(), time.process_time()
+    guess = solve_by_features(
+        replace(problem, tol=max(tol, _GUESS), prove=False, invariants=()), Features()
+    )
     best, passes, evaluations, rejected = None, 0, 0, 0
     with one_core():  # the systems of a window are too small for more
         while passes < _PASSES:
             passes += 1
             with _progress(problem.progress) as advance:
-                trained = _trained(problem, method, layout, settings, advance)
+                trained = _trained(problem, method, guess, settings, advance)
             if trained.chain is None or trained.training is None:
                 break
             evaluations += trained.training.point_evaluations
@@ -141,27 +141,34 @@ def solve_by_chain(problem: InitialValueProblem, method: NetworkChain) -> Soluti
 def _trained(
     problem: InitialValueProblem,
     method: NetworkChain,
-    layout: Layout,
+    guess: Solution,
     settings: ChainSettings,
     advance: Callable[[float], None],
 ) -> TrainedChain:
-    H, z0, span = problem.H, problem.z0, problem.span
-    generator = torch.Generator().manual_seed(problem.seed)
-    free = layout
+    march, equal = guess.record, method.windows is not None
+    edges = guess.trial.origin + march.edges
     if method.windows is not None:
-        # Networks of the usual size make the first guess.
-        free = replace(layout, hidden=NetworkChain().hidden)
-    trained = ChainRun(H, z0, span, free, settings, generator).trained(advance)
-    if method.windows is None or trained.chain is None or trained.reason:
-        return trained
-    widen = tuple(method.hidden) == tuple(NetworkChain().hidden)
-    found = train_windows(
-        H, trained.chain, method.windows, layout, settings, generator, widen=widen
+        edges = np.linspace(edges[0], edges[-1], method.windows + 1)
+    found = ChainRun(
+        problem.H,
+        guess.trial,
+        edges,
+        Layout(method.hidden, method.activation, method.envelope, method.frequency),
+        settings,
+        torch.Generator().manual_seed(problem.seed),
+        equal=equal,
+        widen=equal and tuple(method.hidden) == tuple(NetworkChain().hidden),
+    ).trained(advance)
+    return replace(
+        found,
+        training=found.training
+        and replace(
+            found.training,
+            point_evaluations=found.training.point_evaluations + march.point_evaluations,
+        ),
+        reason=found.reason or march.reason,
+        doubt=found.doubt or march.doubt,
     )
-    if found.training is None or trained.training is None:
-        return found
-    evaluations = found.training.point_evaluations + trained.training.point_evaluations
-    return replace(found, training=replace(found.training, point_evaluations=evaluations))
 
 
 @contextmanager

@@ -72,26 +72,19 @@ class NetworkChain(Method):
     windows: int | None = option(
         None,
         "Number of equal windows.",
-        "1 is one network over the whole span. A chain gives the first guess; if ``hidden`` is not "
-        "given, the last layer is as wide as the motion in a window needs.",
+        "1 is one network over the whole span; if ``hidden`` is not given, the last layer is as "
+        "wide as the motion in a window needs. By default windows are those of a march by "
+        ":class:`~hamsym.Features`, divided where a network does not reach the tolerance.",
         default_text="as the motion needs",
     )
-    max_window: float | None = option(None, "Longest window.", default_text="span/4", unit="TIME")
     train_hidden: bool = option(True, "Train the hidden layers, or the readouts only.")
     time_limit: float | None = option(None, "Stop after this time.", unit="SECONDS")
 
     def check(self) -> None:
         """Raise InputError if an option is invalid."""
         _check_shared(self)
-        if self.max_window is not None:
-            require_positive("max_window", self.max_window)
         if self.windows is not None:
             require_whole("windows", self.windows, 1, 50_000)
-            if self.max_window is not None:
-                raise InputError(
-                    f"windows={self.windows} makes equal windows, but max_window is given too; "
-                    "leave one of them out"
-                )
 
     def solve(self, problem: InitialValueProblem) -> Solution:
         """Solve by training a chain of networks to the tolerance of the problem."""

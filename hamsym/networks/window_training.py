@@ -87,22 +87,16 @@ class Fit:
     ----------
     residual : float
         Largest residual at the points and between them; infinite or NaN if it diverged.
-    smooth : bool
-        Whether the residual between the points is no larger than that at the points allows.
     steps, hidden_steps, evaluations : int
         Least-squares steps, those that changed hidden layers, and evaluations of F at one point.
-    passes : int
-        Fixed-point passes of the last solution of the readouts.
     points : int
         Collocation points of the last solution.
     """
 
     residual: float
-    smooth: bool
     steps: int
     hidden_steps: int
     evaluations: int
-    passes: int
     points: int
 
 
@@ -134,8 +128,7 @@ class _Training:
     ) -> None:
         self.equations, self.network = equations, network
         self.reach, self.settings = reach, settings
-        self.steps = self.hidden_steps = self.evaluations = self.passes = 0
-        self.long = False  # whether Gauss-Newton may replace the fixed-point iteration
+        self.steps = self.hidden_steps = self.evaluations = 0
 
     def use(self, count: int) -> None:
         """Use this number of points from now on."""
@@ -179,7 +172,6 @@ class _Training:
             start = columns.rates.T @ self.equations.rates(self.u, guess(self.u))
         a, previous = start, math.inf
         for count in range(_PASSES):
-            self.passes = count + 1
             flow = self.flow(a)
             moved = columns.rates.T @ flow
             change = float((moved - a).abs().max())
@@ -194,9 +186,6 @@ class _Training:
             if count >= 12 and change > previous:
                 break
             previous = change
-        self.passes = _PASSES
-        if not self.long:
-            return a, columns.rates @ a - self.flow(a)
         # It diverges or is too slow; its last state is a worse start than the first.
         return self._newton(start)
 
@@ -362,42 +351,35 @@ def train_window(
     reach: float,
     points: int,
     settings: Settings,
-    *,
-    guess: Callable[[Tensor], Tensor] | None = None,
+    guess: Callable[[Tensor], Tensor],
 ) -> Fit:
     """Train a network on a window; its weights are changed in place.
 
     - reach: Largest input R of the network.
-    - points: Collocation points, Chebyshev points of the window. With a guess more are used if the
-      residual between them is larger.
-    - guess: u -> y from which the search starts, (K,) -> (K, dim); by default a state that rests.
+    - points: Collocation points, Chebyshev points of the window; more are used if the residual
+      between them is larger.
+    - guess: u -> y from which the search starts, (K,) -> (K, dim).
     """
     training = _Training(equations, network, reach, settings)
-    training.long = guess is not None
     try:
-        residual, smooth = _trained(training, points, guess)
+        residual = _trained(training, points, guess)
     # Features that are not finite have no singular values.
     except torch.linalg.LinAlgError:  # type: ignore[attr-defined]
-        residual, smooth = math.nan, False
+        residual = math.nan
     return Fit(
         residual,
-        smooth,
         training.steps,
         training.hidden_steps,
         training.evaluations,
-        training.passes,
         len(training.u),
     )
 
 
-def _trained(
-    training: _Training, points: int, guess: Callable[[Tensor], Tensor] | None
-) -> tuple[float, bool]:
-    """Return the largest residual, and whether it is smooth."""
+def _trained(training: _Training, points: int, guess: Callable[[Tensor], Tensor]) -> float:
+    """Return the largest residual at the points and between them."""
     training.use(points)
     a, residual = training.solve_readouts(guess)
-    # A free window that needs more points is better trained again, shorter.
-    for left in reversed(range(_REFINEMENTS if training.long else 1)):
+    for left in reversed(range(_REFINEMENTS)):
         if residual.numel() <= _LARGEST_TRAINED and float(residual.abs().max()) <= _CONVERGED:
             a, residual = training.train(a, residual)
         training.put(a)
@@ -407,4 +389,4 @@ def _trained(
             break
         training.use(math.ceil(_MORE * len(training.u)))
         a, residual = training.solve_readouts()
-    return (math.nan if math.isnan(between) else max(inside, between)), smooth
+    return math.nan if math.isnan(between) else max(inside, between)

@@ -1,23 +1,19 @@
-"""Figures of sweeps: of settings and seeds, and over a grid of parameters, starts and energies."""
+"""Figures of sweeps over settings and seeds."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm, Normalize
 
-from hamsym.errors import InputError
-from hamsym.plotting.captions import caption_words, parameter_words
-from hamsym.plotting.figure import figure_of, label, legend
-from hamsym.plotting.names import escaped, known_name, math_name, number, shortened, words_of
+from hamsym.plotting.captions import caption_words
+from hamsym.plotting.figure import label, legend
+from hamsym.plotting.names import escaped, number, shortened
 from hamsym.plotting.panels import Panel, draw_panels
-from hamsym.plotting.style import MAX_LINES, WARNING, color_of, line_styles
-from hamsym.study.grid import StoredSweep
+from hamsym.plotting.style import MAX_LINES, WARNING, line_styles
 from hamsym.study.sweep import Sweep
 
 _WIDE = 30.0  # ratio of the largest to the smallest value from which an axis is logarithmic
@@ -41,9 +37,6 @@ def _mark_failed(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
         style["label"] = "_" if there.any() else "failed"
         edge = axes.get_xaxis_transform()
         axes.plot(x[~there], np.full((~there).sum(), 0.03), transform=edge, **style)
-
-
-# -- settings and seeds ----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -151,127 +144,3 @@ def _draw_runs(axes: Axes, sweep: Sweep, layout: _Layout, values: np.ndarray) ->
     else:
         label(axes.xaxis, escaped(layout.title))
     legend(axes)
-
-
-# -- grids -----------------------------------------------------------------------------------------
-
-_SHOWN = {"solve": ("excess",), "lyapunov": ("exponent_1", "energy_error"), "section": ("count",)}
-_MOST = 4  # panels of what a function returned
-_TITLES = {
-    "excess": "error / what was asked",
-    "exponent_1": r"largest exponent $\lambda$",
-    "energy_error": "energy error",
-    "count": "crossings",
-}
-
-
-def draw_stored_sweep(
-    sweep: StoredSweep, *names: Any, at: Mapping[str, float] | None = None, ax: Any = None
-) -> Any:
-    """Draw values over a grid; see :meth:`hamsym.StoredSweep.plot`."""
-    axes_of, values = sweep.store.axes, sweep.values()
-    fixed, said = _fixed(axes_of, at or {})
-    cut = tuple(fixed.get(name, slice(None)) for name in axes_of)
-    free = {name: axis for name, axis in axes_of.items() if name not in fixed}
-    numbers = {n: v[cut] for n, v in values.items() if v.dtype.kind in "fiub" and n != "done"}
-    done = values["done"][cut]
-    failed = done & ~values["success"][cut].astype(bool) if "success" in values else ~done & done
-    panels = {
-        name: Panel(
-            functools.partial(
-                _draw_values,
-                name=name,
-                free=free,
-                values=np.where(done, shown, np.nan),
-                failed=failed,
-            ),
-            7.0,
-        )
-        for name, shown in numbers.items()
-    }
-    if not panels:
-        raise InputError(f"'{sweep.path.name}' has no number at any point; complete the sweep")
-    asked = sweep.store.attributes
-    usual = [name for name in numbers if name != "success" and not name.startswith("z0_")]
-    shown = [name for name in _SHOWN.get(asked["task"], usual) if name in panels][:_MOST]
-    words = words_of(f"H = {asked['H']}.")
-    if asked["parameters"]:
-        words += parameter_words(asked["parameters"])
-        words[-1] += "."
-    start, end = asked["span"]
-    words += words_of(f"Task {asked['task']}, t from {start:.6g} to {end:.6g}.")
-    words += said
-    if not done.all():
-        words += words_of("Points that are not in the store are grey.")
-    warning = ""
-    if failed.any():
-        message = next(text for text in values["message"][cut][failed].ravel())
-        count = f"{int(failed.sum()):,} of {int(done.sum()):,}"
-        warning = f"{count} points drawn failed, for example: {message}"
-    return draw_panels(panels, shown or list(panels)[:1], names, ax, words, warning)
-
-
-def _fixed(
-    axes: Mapping[str, np.ndarray], at: Mapping[str, float]
-) -> tuple[dict[str, int], list[str]]:
-    """Return the axes at one of their values, as indices, and words about them."""
-    fixed: dict[str, int] = {}
-    for name, value in at.items():
-        known_name(name, list(axes), "an axis of the grid")
-        if not _is_number(value) or not np.isfinite(value):
-            raise InputError(f"at[{name!r}]={value!r} is not a finite number; give a value of it")
-        fixed[name] = int(np.argmin(np.abs(axes[name] - value)))
-    if len(fixed) == len(axes):
-        raise InputError("at= leaves no axis of the grid to draw over; leave one out")
-    for name, axis in axes.items():  # an axis of one value is no direction to draw in
-        if len(axis) == 1 and len(axes) - len(fixed) > 1:
-            fixed.setdefault(name, 0)
-    said = []
-    for name in [name for name in axes if name not in fixed][2:]:
-        fixed[name] = 0
-        said += words_of(f"plot(at={{'{name}': ...}}) draws its other values.")
-    words = [f"{math_name(name)} = {number(float(axes[name][k]))}," for name, k in fixed.items()]
-    if words:
-        words = ["Drawn", "at", *words[:-1], words[-1].removesuffix(",") + "."]
-    return fixed, words + said
-
-
-def _draw_values(
-    axes: Axes, name: str, free: Mapping[str, np.ndarray], values: np.ndarray, failed: np.ndarray
-) -> None:
-    sorts = [np.argsort(axis) for axis in free.values()]
-    values, failed = (array[np.ix_(*sorts)] for array in (values, failed))
-    sides = [axis[order] for axis, order in zip(free.values(), sorts, strict=True)]
-    title = _TITLES.get(name, math_name(name))
-    good = np.where(~failed & np.isfinite(values), values, np.nan)
-    if len(sides) == 1:
-        if _is_wide(good):
-            axes.set_yscale("log")
-        if _is_wide(sides[0]):
-            axes.set_xscale("log")
-        axes.plot(sides[0], good, "o-", color=color_of(0), markersize=3)
-        for place in sides[0][~failed & ~np.isfinite(values)]:
-            axes.axvline(place, color="0.85", linewidth=2.5, zorder=0)
-        if failed.any():
-            _mark_failed(axes, sides[0][failed], values[failed].astype(float))
-        label(axes.xaxis, math_name(next(iter(free))))
-        label(axes.yaxis, title)
-        legend(axes)
-        return
-    y, x = sides
-    norm = LogNorm() if _is_wide(good) else Normalize()
-    image = axes.pcolormesh(x, y, np.ma.masked_invalid(good), norm=norm, shading="nearest")
-    axes.set_facecolor("0.85")
-    axes.grid(visible=False)
-    for side, scale in ((x, axes.set_xscale), (y, axes.set_yscale)):
-        if _is_wide(side):
-            scale("log")
-    if failed.any():
-        rows, columns = np.nonzero(failed)
-        axes.plot(x[columns], y[rows], **_RED, markersize=4)
-    for axis, text in zip((axes.yaxis, axes.xaxis), free, strict=True):
-        label(axis, math_name(text))
-    if np.isfinite(good).any():
-        bar = figure_of(axes).colorbar(image, ax=axes, pad=0.02)
-        bar.ax.set_ylabel(title)
-    axes.set_title(title)

@@ -16,7 +16,6 @@ import numpy as np
 
 from hamsym.errors import CertificationError
 
-UNIT = 2.0**-53
 # Roundings of two evaluations are allowed, with products of roundings.
 ROOM = 2.0
 

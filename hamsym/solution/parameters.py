@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -12,12 +12,8 @@ from hamsym.codegen.functions import compile_expressions
 from hamsym.errors import InputError, ParameterError
 from hamsym.formula.parser import canonical_name
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.solution.times import is_tensor
 from hamsym.support.suggestions import did_you_mean
 from hamsym.symbolic.checks import as_list, name_of
-
-if TYPE_CHECKING:  # torch is imported only by callers that have tensors
-    from torch import Tensor
 
 
 def parameter_names(H: Hamiltonian, parameters: Any) -> tuple[str, ...]:
@@ -41,36 +37,6 @@ def parameter_names(H: Hamiltonian, parameters: Any) -> tuple[str, ...]:
             hint = did_you_mean(name, H.parameter_names)
             raise ParameterError(f"'{name}' is not a parameter of H{hint}; it has {listed}")
     return tuple(known[canonical_name(name)] for name in given)
-
-
-def parameter_tensors(H: Hamiltonian, parameters: Any) -> dict[str, Tensor]:
-    """Return values of parameters, given as tensors with the values in H, by their names in H.
-
-    Raise InputError if they are not a mapping, or it is empty. Raise ParameterError if one is not a
-    parameter of H, not a tensor of shape (), or has another value.
-    """
-    if not isinstance(parameters, Mapping):
-        raise InputError(
-            f"parameters={parameters!r} is not a mapping of names to tensors; give for example "
-            '{"k": k}'
-        )
-    names = parameter_names(H, parameters)
-    for name, value in zip(names, parameters.values(), strict=True):
-        if not (is_tensor(value) and value.is_floating_point() and value.ndim == 0):
-            kind = (
-                f"{tuple(value.shape)}, {value.dtype}" if is_tensor(value) else type(value).__name__
-            )
-            raise ParameterError(
-                f"the value of '{name}' is not a tensor of floats of shape (), but {kind}; give "
-                "one number as a tensor"
-            )
-        own = H.parameters[name]
-        if not bool(value.detach() == value.new_tensor(own)):
-            raise ParameterError(
-                f"parameter '{name}' is {value.item():.6g}, but {own:.6g} in this solution; solve "
-                "again with its value"
-            )
-    return dict(zip(names, parameters.values(), strict=True))
 
 
 class ParameterForcing:

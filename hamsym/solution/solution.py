@@ -6,14 +6,14 @@ import math
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, overload
 
 import numpy as np
 
 import hamsym
-from hamsym.errors import InputError, ParameterError, VacuousBoundWarning
+from hamsym.errors import ParameterError, VacuousBoundWarning
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.scales import SMALLEST, coupled_sizes, ratios, resolved_sizes
 from hamsym.problems.description import attributes_of
@@ -23,7 +23,7 @@ from hamsym.solution.digest import Definition
 from hamsym.solution.discontinuities import parameter_jump
 from hamsym.solution.error_equation import integrated_error
 from hamsym.solution.events import Event, Events, find_events
-from hamsym.solution.parameters import ParameterForcing, parameter_names, parameter_tensors
+from hamsym.solution.parameters import ParameterForcing, parameter_names
 from hamsym.solution.path import ERRORS, RECORDS, TRIALS, ErrorEstimate, Record, Trial
 from hamsym.solution.sensitivity import Sensitivity
 from hamsym.solution.settings import Settings
@@ -124,9 +124,8 @@ class Solution(Saved):
 
     def judged(self, success: bool, message: str) -> Solution:
         """Return the same solution with a verdict; cached properties are kept."""
-        other = replace(self, success=success, message=message)
-        names = {entry.name for entry in fields(self)}
-        other.__dict__.update({n: v for n, v in self.__dict__.items() if n not in names})
+        other = object.__new__(type(self))
+        other.__dict__.update(self.__dict__, success=success, message=message)
         return other
 
     @property
@@ -167,26 +166,10 @@ class Solution(Saved):
     # -- evaluation --------------------------------------------------------------------------
 
     @overload
-    def __call__(
-        self,
-        t: Tensor,
-        *,
-        extrapolate: bool = False,
-        z0: Tensor | None = None,
-        parameters: Mapping[Any, Tensor] | None = None,
-    ) -> Tensor: ...
+    def __call__(self, t: Tensor, *, extrapolate: bool = False) -> Tensor: ...
     @overload
-    def __call__(
-        self, t: Any, *, extrapolate: bool = False, z0: None = None, parameters: None = None
-    ) -> np.ndarray: ...
-    def __call__(
-        self,
-        t: Any,
-        *,
-        extrapolate: bool = False,
-        z0: Tensor | None = None,
-        parameters: Mapping[Any, Tensor] | None = None,
-    ) -> Any:
+    def __call__(self, t: Any, *, extrapolate: bool = False) -> np.ndarray: ...
+    def __call__(self, t: Any, *, extrapolate: bool = False) -> Any:
         """Return the state at times t.
 
         Parameters
@@ -194,52 +177,13 @@ class Solution(Saved):
         t : float, sequence, array or Tensor
         extrapolate : bool
             Allow times outside the span.
-        z0 : Tensor, optional
-            The initial state, equal to ``solution.z0``, as a tensor through which gradients flow:
-            the result is differentiable in it, by :meth:`sensitivity`. For t as a tensor only.
-        parameters : mapping of name to Tensor, optional
-            Values of some parameters, equal to those of ``solution.H``, as tensors of shape ()
-            in which the result is differentiable likewise.
 
         Raises
         ------
         InputError
-            If a time is outside the span, unless ``extrapolate=True``, or z0 differs from
-            ``solution.z0``.
-        ParameterError
-            If a parameter is unknown, is not a tensor of shape (), or differs from its value in
-            ``solution.H``.
-
-        Examples
-        --------
-        >>> import hamsym, torch
-        >>> H = hamsym.Hamiltonian("p**2/2 + k*x**2/2", parameters={"k": 4.0})
-        >>> solution = hamsym.solve(H, [1, 0], (0, 5))
-        >>> k = torch.tensor(4.0, dtype=torch.float64, requires_grad=True)
-        >>> solution(torch.tensor(0.25 * np.pi), parameters={"k": k})[0].backward()
-        >>> round(float(k.grad), 6), round(-np.pi / 16, 6)  # of cos(sqrt(k) t)
-        (-0.19635, -0.19635)
+            If a time is outside the span, unless ``extrapolate=True``.
         """
-        if z0 is None and parameters is None:
-            return self._state(t, extrapolate)
-        if not (is_tensor(t) and (z0 is None or is_tensor(z0))):
-            raise InputError(
-                f"gradients reach {'parameters' if z0 is None else 'z0'} only if t and "
-                f"{'their values' if z0 is None else 'z0'} are both tensors; give tensors"
-            )
-        state = self._state(t, extrapolate)
-        if z0 is not None:
-            if not np.array_equal(z0.detach().cpu().numpy(), self.z0.astype(str(z0.dtype)[6:])):
-                raise InputError(
-                    "z0 differs from the initial state of this solution; solve again from z0"
-                )
-            state = state + self.sensitivity(t).to(state) @ (z0 - z0.detach()).to(state)
-        if parameters is not None:
-            values = parameter_tensors(self.H, parameters)
-            slopes = self.sensitivity(t, list(values)).to(state)
-            for k, value in enumerate(values.values()):
-                state = state + slopes[..., k] * (value - value.detach()).to(state)
-        return state
+        return self._state(t, extrapolate)
 
     @overload
     def derivative(self, t: Tensor, *, extrapolate: bool = False) -> Tensor: ...
@@ -385,40 +329,6 @@ class Solution(Saved):
     @cached_property
     def _work(self) -> Work:
         return Work(self, self.record.edges, self.record.origin)
-
-    def loss(self, t: Any, *, extrapolate: bool = False) -> Any:
-        """Return the generated loss of z^ at times t: the paper's eq. (Loss), a scalar.
-
-        It is the mean over the times of the squared 2-norm of the residual, plus
-        ``energy_weight`` times the mean of (H - E0)^2, without invariants and regularizers. For t
-        as a tensor it is a tensor.
-
-        Parameters
-        ----------
-        t : float, sequence, array or Tensor
-        extrapolate : bool
-            Allow times outside the span.
-
-        Raises
-        ------
-        InputError
-            If a time is outside the span, unless ``extrapolate=True``.
-
-        Examples
-        --------
-        >>> import hamsym
-        >>> solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 5), tol=1e-6)
-        >>> t = np.linspace(0, 5, 51)
-        >>> bool(solution.loss(t) == np.mean(np.sum(solution.residual(t) ** 2, axis=-1)))
-        True
-        """
-        z, dz = self.evaluate(t, extrapolate=extrapolate)
-        system = self.H.compile("torch" if is_tensor(t) else "numpy")
-        given = system.arguments(dz, t if is_tensor(t) else np.asarray(t, dtype=float))
-        if not self.H.conserves_energy:
-            return system.loss(z, *given)
-        exact = self.H.compile("numpy")
-        return system.loss(z, *given, float(exact.energy(self.z0)), self.energy_weight)
 
     def _state(self, t: Any, extrapolate: bool) -> Any:
         if is_tensor(t):
@@ -624,6 +534,18 @@ class Solution(Saved):
         """
         return find_events(self, events, self.scan_times)
 
+    def frequencies(self, *signals: Any, count: int = 6) -> hamsym.Frequencies:
+        """Find the frequencies of the solution; see :func:`hamsym.frequencies`.
+
+        Examples
+        --------
+        >>> import hamsym
+        >>> solution = hamsym.solve("p**2/2 + 2*x**2", [1, 0], (0, 100))
+        >>> solution.frequencies("x").frequency[0, :1].round(6)
+        array([2.])
+        """
+        return hamsym.frequencies(self, *signals, count=count)
+
     def to_dataframe(self, t: Any, *names: Any) -> pandas.DataFrame:
         """Return states at times t as a table of pandas: times as index, components as columns.
 
@@ -710,12 +632,14 @@ class Solution(Saved):
         *,
         certificate: hamsym.Certificate | None = None,
         allow_failed: bool = False,
+        **lesson: Any,
     ) -> None:
-        """Write a module of Python (.py), JSON (.json) or C (.h).
+        """Write a module of Python (.py), JSON (.json), C (.h), or a page that moves (.html).
 
-        Its functions need no hamsym; see :func:`hamsym.export`.
+        They need no hamsym; see :func:`hamsym.export`, also for the options of a page:
+        ``parameters``, ``title``, ``text``.
         """
-        hamsym.export(self, path, certificate=certificate, allow_failed=allow_failed)
+        hamsym.export(self, path, certificate=certificate, allow_failed=allow_failed, **lesson)
 
     def certify(
         self,
@@ -783,7 +707,8 @@ class Solution(Saved):
             where both are lengths or components of one kind else. Three: the path in space. Or
             ``"error"``, the estimated
             errors relative to the sizes of the components, with the tolerance; ``"residual"``,
-            ``"energy"``, or ``"search"``: lengths of the windows, or the loss.
+            ``"energy"``, ``"energies"``, that is the kinetic and the potential energy, or
+            ``"search"``: lengths of the windows, or the best residual of a training over time.
         ax : matplotlib.axes.Axes, optional
             Axes to draw one panel into, in your own style.
         certificate : Certificate, optional

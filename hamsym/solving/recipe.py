@@ -1,14 +1,12 @@
-"""The command and the lines of Python that compute a solution again.
+"""The lines of Python that compute a solution again.
 
-Both have every number with all digits, so that on the same machine the result is the same to the
+They have every number with all digits, so that on the same machine the result is the same to the
 last bit. What they cannot contain, :func:`omissions` names.
 """
 
 from __future__ import annotations
 
-import shlex
 import textwrap
-from dataclasses import fields
 from typing import Any
 
 from hamsym.errors import HamsymError
@@ -70,71 +68,15 @@ def _asked(solution: Solution) -> dict[str, Any]:
     return {name: value for name, value in values.items() if value not in (None, 0, False, [])}
 
 
-def command_line(solution: Solution, output: str | None = None) -> str:
-    """Return the command that computes a solution again, over several lines if it is long.
-
-    - output: File to which the command writes.
-
-    Examples
-    --------
-    >>> import hamsym
-    >>> solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 5), tol=1e-6)
-    >>> print(command_line(solution))
-    hamsym solve 'p**2/2 + x**2/2' --z0 x=1.0,p=0.0 --t-end 5.0 --tol 1e-06
-    """
-    H = solution.H
-    formula = f"({H.formula})" if H.formula.startswith("-") else H.formula
-    parts = [["hamsym", "solve", formula]]
-    if not _pairs_are_found(H):
-        parts.append(["--q", ",".join(symbol.name for symbol in H.q)])
-        parts.append(["--p", ",".join(symbol.name for symbol in H.p)])
-    parts += [["--param", f"{name}={float(value)!r}"] for name, value in H.parameters.items()]
-    parts += [["--force", f"{name}={text}"] for name, text in H.force_texts.items()]
-    values = zip(H.names, solution.z0.tolist(), strict=True)
-    parts.append(["--z0", ",".join(f"{name}={value!r}" for name, value in values)])
-    settings = solution.settings
-    start, end = map(float, settings.span)
-    if start:
-        parts.append(["--t-start", repr(start)])
-    parts.append(["--t-end", repr(end)])
-    if solution.method != "features":
-        parts.append(["--method", solution.method])
-    for name, given in _asked(solution).items():
-        if name == "prove":
-            parts.append(["--prove"])
-        elif name == "invariants":
-            parts += [["--invariant", text] for text in given]
-        else:
-            values_of = given if isinstance(given, list) else [given]
-            parts.append([f"--{name}", ",".join(map(repr, values_of))])
-    for name, value in settings.options.items():
-        parts.append(_option(solution, name, value) or [])
-    if output is not None:
-        parts.append(["-o", output])
-    lines = [""]
-    for part in filter(None, parts):
-        text = shlex.join(part)
-        if lines[-1] and len(lines[-1]) + len(text) > _WIDTH:
-            lines.append("  ")
-        lines[-1] += text if not lines[-1].strip() else f" {text}"
-    return " \\\n".join(lines)
-
-
 def omissions(solution: Solution) -> list[str]:
-    """Return sentences about what command and lines do not contain; none if they are complete."""
-    found = []
-    H, settings = solution.H, solution.settings
+    """Return sentences about what the lines do not contain; none if they are complete."""
+    found, settings = [], solution.settings
     if settings.missing:
         found.append(
             f"The values of {', '.join(settings.missing)} are objects of the caller's program, "
             "which the lines cannot contain."
         )
-    absent = [n for n, v in settings.options.items() if _option(solution, n, v) is None]
-    if absent:
-        found.append(f"The command has no option for these values: {', '.join(absent)}.")
-    if H.units:
-        found.append("The command has no units; they change no number.")
-    if not _same_again(H):
+    if not _same_again(solution.H):
         found.append(
             "H has binary fractions that its text does not have exactly; the saved solution does."
         )
@@ -158,32 +100,6 @@ def _same_again(H: Hamiltonian) -> bool:
     except HamsymError:
         return False
     return again == H
-
-
-def _option(solution: Solution, name: str, value: Any) -> list[str] | None:
-    """Return words of the command line, none for a default, or None if it has no such option."""
-    field = {entry.name: entry for entry in fields(METHODS[solution.method])}[name]
-    if not field.metadata["help"]:
-        return None
-    flag = "--" + name.replace("_", "-")
-    choices = field.metadata["choices"]
-    if isinstance(choices, dict):
-        return [
-            flag,
-            next(
-                text
-                for text, meant in choices.items()
-                if meant is value or (type(meant) is type(value) and meant == value)
-            ),
-        ]
-    if isinstance(value, bool):
-        return [flag if value else flag.replace("--", "--no-", 1)]
-    if value is None:
-        return None
-    if isinstance(value, list):
-        texts = [repr(part) for part in value]
-        return [flag, *texts] if field.type == "tuple[float, float]" else [flag, ",".join(texts)]
-    return [flag, value if isinstance(value, str) else repr(value)]
 
 
 def _call(start: str, positional: list[str], named: dict[str, str]) -> str:

@@ -1,26 +1,20 @@
-"""Runs of a sweep side by side, in processes or on a cluster, with their progress."""
+"""Runs of a sweep side by side, in processes, with their progress."""
 
 from __future__ import annotations
 
 import math
 import threading
 import time
-import uuid
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from typing import TYPE_CHECKING, Any, TypeAlias
-
-import numpy as np
+from typing import TYPE_CHECKING, TypeAlias
 
 from hamsym.errors import HamsymError
-from hamsym.parallel.cluster import Task, cluster_results
 from hamsym.parallel.processes import ProcessEndedError, in_processes
 from hamsym.study.runs import Run
 from hamsym.support.progress import share_progress
 
 if TYPE_CHECKING:
-    from distributed import Client
-
     from hamsym.networks.record import TrainingState
 
 _REPORT_EVERY = 0.5  # seconds between two reports of a run
@@ -77,39 +71,6 @@ def carry_out(runs: Sequence[Run], workers: int, progress: bool | None) -> None:
                     "a process ended before its run: give fewer workers if memory was short; "
                     "finished runs are kept"
                 ) from None
-
-
-def carry_out_on(client: Client, runs: Sequence[Run], progress: bool | None, retries: int) -> None:
-    """Carry out runs on the workers of a cluster, which reach the same folder.
-
-    Raise HamsymError if a run fails, or the folder is not there for a worker.
-    """
-    topic = f"hamsym-{uuid.uuid4().hex}"
-    tasks = [Task(np.array([k]), (run,)) for k, run in enumerate(runs)]
-    with share_progress(progress, "sweep") as draw:
-        board = Board(len(runs), draw)
-        client.subscribe_topic(topic, lambda event: board.put(tuple(event[1])))
-        results = cluster_results(client, _on_worker, topic, tasks, retries=retries)
-        try:
-            with closing(results):
-                for task, _, _ in results:
-                    run: Run = task.arguments[0]
-                    if not run.is_done:
-                        raise HamsymError(
-                            f"the files of '{run.label}' are not in '{run.base.parent}'; give a "
-                            "folder that all machines reach"
-                        )
-                    board.ended(run.label)
-        finally:
-            client.unsubscribe_topic(topic)
-
-
-def _on_worker(topic: str, run: Run) -> None:
-    """Carry out a run on a worker of a cluster, which reports to the client."""
-    from distributed import get_worker
-
-    worker: Any = get_worker()
-    _reporting(run, lambda item: worker.log_event(topic, item))
 
 
 def _reporting(run: Run, report: Callable[[_Report], None]) -> None:

@@ -22,8 +22,7 @@ from hamsym.problems.problem import InitialValueProblem
 from hamsym.proof.windows.certificate import Certificate
 from hamsym.solution.solution import Solution
 from hamsym.study.compare import Row, measure
-from hamsym.study.grid import sweep_to_store
-from hamsym.study.processes import carry_out, carry_out_on
+from hamsym.study.processes import carry_out
 from hamsym.study.runs import arguments_of, planned_run
 from hamsym.support.locking import exclusive
 from hamsym.support.machine import available_cores
@@ -33,9 +32,8 @@ from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.tables import data_frame
 from hamsym.support.validation import plain, require_positive, require_whole
 
-if TYPE_CHECKING:  # optional packages
+if TYPE_CHECKING:  # an optional package
     import pandas
-    from distributed import Client
 
 #: Options of :func:`hamsym.solve`, or a function from a seed to options.
 Settings = Mapping[str, Any] | str | Method | Callable[[int], Any]
@@ -204,35 +202,24 @@ def sweep(
     H: HamiltonianLike,
     z0: Sequence[float] | Mapping[Any, float] | np.ndarray,
     span: tuple[float, float],
-    settings: Mapping[str, Settings] | None = None,
+    settings: Mapping[str, Settings],
     *,
-    folder: str | os.PathLike[str] | None = None,
+    folder: str | os.PathLike[str],
     seeds: int | Sequence[int] = 3,
     certify: float | None = None,
     workers: int | None = None,
     progress: bool | None = None,
-    client: Client | None = None,
-    retries: int = 3,
-    over: Mapping[str, Any] | None = None,
-    task: str | Callable[..., Mapping[str, Any]] = "solve",
-    store: str | os.PathLike[str] | None = None,
-    chunk: int | None = None,
-    **options: Any,
-) -> Any:
-    """Solve one problem with several settings and seeds, or carry out a task over a grid.
-
-    With ``settings`` and ``folder``, solutions are files in a folder. With ``over`` and ``store``,
-    a task is carried out at each point of a grid, and its results go to a store on disk.
+) -> Sweep:
+    """Solve one problem with several settings and seeds.
 
     Parameters
     ----------
     H, z0, span
-        As in :func:`hamsym.solve`. With an axis ``"energy"``, z0 is a mapping without one
-        component, which :meth:`hamsym.Hamiltonian.state_at_energy` finds.
-    settings : mapping, optional
+        As in :func:`hamsym.solve`.
+    settings : mapping
         Name -> arguments of :func:`hamsym.solve`, e.g. ``{"tol": 1e-6}``; or a method alone, e.g.
         ``hamsym.Adam(epochs=5_000)``; or a function from a seed to one of them.
-    folder : path, optional
+    folder : path
         Directory with the files of all runs; created if it does not exist. Existing runs with
         the same settings are reused. It is locked against other processes while runs are carried
         out.
@@ -240,12 +227,8 @@ def sweep(
         Number of seeds, counted from 0, or the seeds.
     certify : float, optional
         Prove the error of each solution, with this time limit in seconds.
-    over, task, store, chunk, **options
-        A grid of values by name, what is computed at its points, and where it is stored, with the
-        options of the task: for "solve" also ``values``, names with formulas in the names of H
-        whose values at the times ``t`` are stored. See the page "Clusters".
     workers : int, optional
-        Number of processes for settings, by default the number of cores; each uses one thread.
+        Number of processes, by default the number of cores; each uses one thread.
         With 1 all runs are carried out in this process.
     progress : bool, optional
         By default a bar is drawn if standard error is a terminal. True prints a line every ten
@@ -275,18 +258,6 @@ def sweep(
     >>> all(row.error < 1e-6 for row in found.rows(exact)["1e-6"])
     True
     """
-    if over is not None:
-        if settings is not None or folder is not None or store is None:
-            raise InputError("a sweep over a grid has a store, and no settings or folder")
-        return sweep_to_store(
-            *(H, z0, span, over, task, store, options),
-            chunk=chunk,
-            progress=progress,
-            client=client,
-            retries=retries,
-        )
-    if settings is None or folder is None or store is not None or options:
-        raise InputError("a sweep needs settings and folder, or over and store; give one pair")
     chosen = tuple(range(seeds)) if isinstance(seeds, int) else tuple(seeds)
     for seed in chosen:
         require_whole("seeds", seed, 0)
@@ -311,10 +282,7 @@ def sweep(
     missing = [run for run in runs if not run.is_done]
     if missing:
         with exclusive(directory):
-            if client is None:
-                carry_out(missing, min(workers or available_cores(), len(missing)), progress)
-            else:
-                carry_out_on(client, missing, progress, retries)
+            carry_out(missing, min(workers or available_cores(), len(missing)), progress)
     groups = [runs[k : k + len(chosen)] for k in range(0, len(runs), len(chosen))]
     named = dict(zip(settings, groups, strict=True))
     solutions = {

@@ -10,7 +10,6 @@ from typing import NoReturn
 from hamsym.support.suggestions import attribute_message
 from hamsym.systems.catalogue import CATALOGUE, Problem, Reference
 from hamsym.systems.celestial import (
-    anisotropic_kepler,
     arenstorf,
     kepler,
     pleiades,
@@ -23,9 +22,8 @@ from hamsym.systems.chains import (
     fermi_pasta_ulam_tsingou,
     toda_chain,
 )
-from hamsym.systems.charges import charged_particle, paul_trap, penning_trap, stormer, two_waves
-from hamsym.systems.fluids import bickley_jet, point_vortices
-from hamsym.systems.lattices import ablowitz_ladik, discrete_nls
+from hamsym.systems.charges import charged_particle, paul_trap, penning_trap, stormer
+from hamsym.systems.fluids import point_vortices
 from hamsym.systems.molecules import argon_crystal, lennard_jones
 from hamsym.systems.oscillators import (
     driven_duffing,
@@ -42,15 +40,11 @@ __all__ = [
     "CATALOGUE",
     "Problem",
     "Reference",
-    "ablowitz_ladik",
-    "anisotropic_kepler",
     "arenstorf",
     "argon_crystal",
-    "bickley_jet",
     "calogero_moser",
     "charged_particle",
     "coupled_oscillators",
-    "discrete_nls",
     "double_pendulum",
     "driven_duffing",
     "driven_oscillator",
@@ -74,7 +68,6 @@ __all__ = [
     "swinging_atwood",
     "three_bodies",
     "toda_chain",
-    "two_waves",
 ]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.support.validation import require_number
-from hamsym.systems.catalogue import Problem, check_positive, check_start, listed
+from hamsym.systems.catalogue import Problem, check_start, listed
 from hamsym.systems.planar import planar_integrals, planar_names
 
 
@@ -54,26 +54,6 @@ def kepler(eccentricity: float = 0.6) -> Problem:
             "-p_x*(x*p_y - y*p_x) - y/sqrt(x**2 + y**2)",
         ),
     )
-
-
-@listed
-def anisotropic_kepler(ratio: float = 5.0) -> Problem:
-    """The anisotropic Kepler problem of an electron in a semiconductor, in the plane.
-
-    H = p_x^2/(2 sqrt(mu)) + p_y^2 sqrt(mu)/2 - 1/r with the ratio mu of the masses along the two
-    axes, 5 in silicon; in units in which their product is 1. The motion is chaotic.
-
-    Raises
-    ------
-    InputError
-        If the ratio mu is not positive.
-    """
-    check_positive(ratio=ratio)
-    H = Hamiltonian(
-        "p_x**2/(2*sqrt(mu)) + p_y**2*sqrt(mu)/2 - 1/sqrt(x**2 + y**2)", parameters={"mu": ratio}
-    )
-    source = "Gutzwiller 1973; start chosen here"
-    return Problem("anisotropic Kepler problem", H, (1.0, 0.0, 0.0, 0.6), (0.0, 10.0), source)
 
 
 def _planar_bodies(masses: Sequence[float]) -> Hamiltonian:

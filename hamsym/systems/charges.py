@@ -207,27 +207,3 @@ def stormer() -> Problem:
         (0.0, 40.0),
         "Stormer 1907; Dragt 1965; start chosen here",
     )
-
-
-@listed
-def two_waves(first: float = 0.08, second: float = 0.08) -> Problem:
-    """A particle in two electrostatic waves: explicit in time, chaotic where they overlap.
-
-    H = p^2/2 - M cos(x) - P cos(x - t): a pendulum with a travelling wave beside it, the flow with
-    the two nearest resonances of the kicked rotor. By default they overlap by Chirikov's estimate,
-    2 sqrt(M) + 2 sqrt(P) > 1, and the start lies between them.
-
-    Raises
-    ------
-    InputError
-        If an amplitude M or P is negative.
-    """
-    require_number("first", first, 0)
-    require_number("second", second, 0)
-    return Problem(
-        "particle in two waves",
-        Hamiltonian("p**2/2 - M*cos(x) - P*cos(x - t)", parameters={"M": first, "P": second}),
-        (0.0, 0.4),
-        (0.0, 50.0),
-        "Chirikov 1979; Escande & Doveil 1981",
-    )

@@ -1,4 +1,4 @@
-"""Ideal flow in the plane: vortices, and fluid particles in a jet."""
+"""Ideal flow in the plane: vortices."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.support.validation import require_number, require_whole
+from hamsym.support.validation import require_whole
 from hamsym.systems.catalogue import Problem, check_start, listed, numbered
 
 _VORTICES = ("polygon", "shaken polygon")
@@ -67,34 +67,4 @@ def point_vortices(n: int = 4, start: str = "polygon") -> Problem:
         ),
         start,
         _VORTICES,
-    )
-
-
-@listed
-def bickley_jet(first: float = 0.1, second: float = 0.3) -> Problem:
-    """A fluid particle in a jet with two waves: explicit in time, without twist in the middle.
-
-    H = tanh(y) - c y - sech(y)^2 (A_1 cos(k_1 (x - b t)) + A_2 cos(k_2 x)), in the frame of the
-    second wave, with coordinate x along the jet and y, across it, as the momentum. The velocity
-    without waves is largest at y = 0, where the twist d^2H/dy^2 changes its sign, as in the
-    standard nontwist map.
-
-    Raises
-    ------
-    InputError
-        If an amplitude A_1 or A_2 is not finite.
-    """
-    require_number("first", first)
-    require_number("second", second)
-    return Problem(
-        "Bickley jet",
-        Hamiltonian(
-            "tanh(y) - c*y - sech(y)**2*(A1*cos(k1*(x - b*t)) + A2*cos(k2*x))",
-            q=["x"],
-            p=["y"],
-            parameters={"c": 0.4, "b": 0.3, "k1": 1.0, "k2": 2.0, "A1": first, "A2": second},
-        ),
-        (0.5, 0.4),
-        (0.0, 30.0),
-        "del-Castillo-Negrete & Morrison 1993; amplitudes chosen here",
     )

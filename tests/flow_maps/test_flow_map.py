@@ -1,11 +1,9 @@
-"""Flow maps: accuracy over the box, derivatives, bad input, files, exported modules."""
+"""Flow maps: accuracy over the box, derivatives, bad input, files."""
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -205,8 +203,6 @@ def test_long_span_is_a_chain_of_legs(monkeypatch: pytest.MonkeyPatch, tmp_path:
     again = hamsym.load(saved(flow))
     t, start = np.array([3.0, 29.0]), [0.7, 0.3]
     np.testing.assert_array_equal(again(t, start), flow(t, start))
-    exported = module(flow, tmp_path)
-    np.testing.assert_allclose(exported.state(t, start), flow(t, start), rtol=1e-10)
     step = 1e-5
     left, right = flow(t, [0.7 - step, 0.3]), flow(t, [0.7 + step, 0.3])
     slope = (right - left) / (2 * step)
@@ -430,31 +426,6 @@ def test_damaged_or_forged_files_are_refused(oscillator: FlowMap, tmp_path: Path
     for _ in range(300):
         deep = {"form": "chain", "maps": [deep], "joints": None, "kept": None}
     refused(arrays, {**values, "map": deep}, "too many parts inside each other")
-
-
-def module(flow: FlowMap, folder: Path) -> ModuleType:
-    flow.export(folder / "exported.py")
-    spec = importlib.util.spec_from_file_location("exported", folder / "exported.py")
-    assert spec is not None
-    assert spec.loader is not None
-    found = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(found)
-    return found
-
-
-def test_exported_module_needs_only_numpy(with_parameter: FlowMap, tmp_path: Path) -> None:
-    exported = module(with_parameter, tmp_path)
-    text = (tmp_path / "exported.py").read_text()
-    assert "hamsym" not in text.split('"""', 2)[2]
-    t, inputs = np.array([0.3, 1.9]), np.array([[1.2, 1.3], [1.9, 1.1]])
-    expected = with_parameter(t, {"x": inputs[:, 0]}, {"k": inputs[:, 1]})
-    np.testing.assert_allclose(exported.state(t, inputs), expected, rtol=1e-12)
-    jacobian = with_parameter.jacobian(t, {"x": inputs[:, 0]}, {"k": inputs[:, 1]})
-    np.testing.assert_allclose(exported.jacobian(t, inputs), jacobian, rtol=1e-10, atol=1e-12)
-    assert exported.__doc__ is not None
-    assert "x from 1.0 to 2.0" in exported.__doc__
-    with pytest.raises(FileError, match="cannot be written"):
-        with_parameter.export(tmp_path / "missing" / "exported.py")
 
 
 def test_construction_does_not_depend_on_other_maps(oscillator: FlowMap) -> None:

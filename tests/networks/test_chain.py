@@ -144,14 +144,11 @@ def test_given_number_of_windows() -> None:
     np.testing.assert_allclose(solution.trial.edges, [0, 2, 4, 6])
 
 
-def test_windows_end_at_breakpoints_and_are_short_enough() -> None:
+def test_windows_end_at_breakpoints() -> None:
     H = Hamiltonian("p**2/2 + abs(t - 1)*x**2")
-    solution = hamsym.solve(
-        H, [1.0, 0.5], (0, 3), method=hamsym.NetworkChain(max_window=0.25), breakpoints=[1.0]
-    )
+    solution = hamsym.solve(H, [1.0, 0.5], (0, 3), method="network-chain", breakpoints=[1.0])
     assert solution.success, solution.message
     assert 1.0 in solution.trial.edges
-    assert np.diff(solution.trial.edges).max() <= 0.25 * (1 + 1e-12)
 
 
 @pytest.mark.slow
@@ -192,11 +189,11 @@ def test_chaos_beyond_round_off_is_refused() -> None:
 @pytest.mark.slow
 def test_time_limit_keeps_what_was_reached() -> None:
     solution = hamsym.solve(
-        PENDULUM, [1.0, 0.5], (0, 1e5), method=hamsym.NetworkChain(time_limit=0.5)
+        PENDULUM, [1.0, 0.5], (0, 1e4), method=hamsym.NetworkChain(time_limit=0.5)
     )
     assert not solution.success
     assert "the time limit was reached" in solution.message
-    assert 0 < solution.span[1] < 1e5
+    assert 0 < solution.span[1] < 1e4
 
 
 @pytest.mark.slow
@@ -304,8 +301,7 @@ def test_certificate_proves_round_off() -> None:
         ({"atol": [1.0, 2.0, 3.0]}, "atol="),
         ({"windows": 0}, "windows=0"),
         ({"windows": 1.5}, "windows=1.5"),
-        ({"max_window": -1}, "max_window=-1"),
-        ({"max_window": 1e-9}, "needs more than"),
+        ({"max_window": 1}, "'max_window' is not an option of method 'network-chain'"),
         ({"breakpoints": [7.0]}, "breakpoint 7 is not inside"),
         ({"time_limit": 0}, "time_limit=0"),
         ({"hidden": ()}, "hidden=()"),
@@ -329,8 +325,9 @@ def test_options_that_cannot_be_used(options: dict[str, Any], message: str) -> N
 
 
 def test_start_without_finite_derivatives_is_refused() -> None:
-    with pytest.raises(InputError, match="no solution beyond t = 0"):
-        hamsym.solve("p**2/2 + abs(x)**1.5", [0.0, 0.0], (0, 5), method="network-chain")
+    solution = hamsym.solve("p**2/2 + abs(x)**1.5", [0.0, 0.0], (0, 5), method="network-chain")
+    assert not solution.success
+    assert "met only until t = 0: the Hessian of H is not finite" in solution.message
 
 
 def test_window_of_many_seeds_reaches_the_tolerance() -> None:
@@ -352,6 +349,6 @@ def test_window_of_many_seeds_reaches_the_tolerance() -> None:
             1.5,
             40,
             Settings(1e-10, 20, "exponential"),
+            lambda u: torch.zeros(len(u), 2, dtype=u.dtype),
         )
         assert fit.residual <= 1e-10
-        assert fit.smooth

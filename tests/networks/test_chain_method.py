@@ -16,9 +16,8 @@ import torch
 
 import hamsym
 from hamsym import InputError, Solution
-from hamsym.networks import equal_windows
+from hamsym.networks import chain_training
 from hamsym.networks.chain_training import ChainRun, ChainSettings, Layout, TrainedChain
-from hamsym.networks.equal_windows import train_windows
 from hamsym.networks.window_training import _damped
 from hamsym.support.records import packed
 
@@ -78,7 +77,7 @@ def test_pulse_between_the_points_is_refused() -> None:
 @pytest.mark.slow
 def test_late_pulse_in_a_long_motion_is_passed() -> None:
     H = "p**2/2 + q**2/2 + 1e4*q*exp(-(1e5*(t - 55.3))**2)"
-    solution = trained(H, [1.0, 0.0], (0, 60), tol=1e-6, max_window=1.0)
+    solution = trained(H, [1.0, 0.0], (0, 60), tol=1e-6)
     assert solution.success, solution.message
     # The pulse is so narrow that it changes p at once, by -0.1 sqrt(pi).
     kick = 0.1 * math.sqrt(math.pi)
@@ -99,12 +98,9 @@ def test_windows_that_need_too_many_neurons_are_refused() -> None:
         trained("p**2/2 + q**2/2", [1.0, 0.0], (0, 250), tol=1e-3, windows=1)
 
 
-@pytest.mark.parametrize("option", [{"breakpoints": [1.0]}, {"max_window": 0.5}])
-def test_options_that_contradict_equal_windows_are_refused(option: dict[str, Any]) -> None:
-    with pytest.raises(
-        InputError, match=f"windows=3 makes equal windows, but {next(iter(option))}"
-    ):
-        trained("p**2/2 + q**2/2", [1.0, 0.0], (0, 2), windows=3, **option)
+def test_breakpoints_that_contradict_equal_windows_are_refused() -> None:
+    with pytest.raises(InputError, match="windows=3 makes equal windows, but breakpoints"):
+        trained("p**2/2 + q**2/2", [1.0, 0.0], (0, 2), windows=3, breakpoints=[1.0])
 
 
 @pytest.mark.parametrize("windows", [0, 1.5, 50_001])
@@ -119,18 +115,14 @@ def test_training_warns_of_nothing() -> None:
         assert trained("p**2/2 + q**2/2", [1.0, 0.0], (0, 3), windows=2, tol=1e-6).success
 
 
-def settings(**others: Any) -> ChainSettings:
-    return ChainSettings(1e-10, 20, (), 1.0, **others)
-
-
-def windows_of_pendulum(count: int, **others: Any) -> TrainedChain:
+def windows_of_pendulum(count: int, deadline: float | None = None) -> TrainedChain:
     H = hamsym.Hamiltonian("p**2/2 - cos(q)")
     layout = Layout((8,), "sin", "exponential", 3.0)
+    guess = hamsym.solve(H, [2.0, 0.3], (0, 4)).trial
+    settings = ChainSettings(1e-10, 20, math.inf, deadline)
     generator = torch.Generator().manual_seed(0)
-    wide = Layout((50, 50), "sin", "exponential", 3.0)
-    guess = ChainRun(H, np.array([2.0, 0.3]), (0.0, 4.0), wide, settings(), generator).trained()
-    assert guess.chain is not None
-    return train_windows(H, guess.chain, count, layout, settings(**others), generator)
+    edges = np.linspace(0, 4, count + 1)
+    return ChainRun(H, guess, edges, layout, settings, generator, equal=True).trained()
 
 
 def test_no_steps_are_begun_after_the_deadline() -> None:
@@ -144,16 +136,15 @@ def test_no_steps_are_begun_after_the_deadline() -> None:
 
 
 def test_interrupted_windows_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    train, calls = equal_windows.train_window, []
+    train, calls = chain_training.train_window, []
 
-    def interrupted(*arguments: Any, guess: Any = None) -> Any:
-        if guess is not None:
-            calls.append(guess)
+    def interrupted(*arguments: Any) -> Any:
+        calls.append(arguments)
         if len(calls) == 2:
             raise KeyboardInterrupt
-        return train(*arguments, guess=guess)
+        return train(*arguments)
 
-    monkeypatch.setattr(equal_windows, "train_window", interrupted)
+    monkeypatch.setattr(chain_training, "train_window", interrupted)
     found = windows_of_pendulum(3)
     assert found.reason == "interrupted"
     assert found.chain is not None

@@ -160,33 +160,6 @@ def test_store_that_workers_do_not_reach(
     same_solutions(found, hamsym.solve_many(HENON, starts, SPAN))
 
 
-# -- other functions -------------------------------------------------------------------------------
-
-
-@pytest.mark.slow  # workers import torch
-def test_sweep_of_settings_on_a_cluster(processes: Any, tmp_path: Path) -> None:
-    adam = {"method": hamsym.Adam(epochs=60, points=20, hidden=(8, 8))}
-    arguments = "p**2/2 + x**2/2", [1.0, 0.0], (0, 2), {"adam": adam, "march": {}}
-    here = hamsym.sweep(*arguments, folder=tmp_path / "here", seeds=[3], workers=1)
-    there = hamsym.sweep(*arguments, folder=tmp_path / "there", seeds=[3], client=processes)
-    for name in ("adam", "march"):
-        one, other = here.solutions[name][0], there.solutions[name][0]
-        assert (one([0.5, 2.0]) == other([0.5, 2.0])).all()
-
-
-@pytest.mark.slow
-def test_sweep_over_a_grid_on_a_cluster(processes: Any, tmp_path: Path) -> None:
-    for package in ("zarr", "xarray"):
-        pytest.importorskip(package)
-    arguments = "p**2/2 + k*x**2/2", [1.0, 0.0], (0, 5)
-    options: dict[str, Any] = {"over": {"k": [1.0, 2.0], "x": [0.5, 1.0, 1.5]}, "chunk": 2}
-    here = hamsym.sweep(*arguments, store=tmp_path / "here.zarr", **options)
-    there = hamsym.sweep(*arguments, store=tmp_path / "there.zarr", client=processes, **options)
-    assert here.complete
-    assert there.complete
-    assert here.open().equals(there.open())
-
-
 # -- failures --------------------------------------------------------------------------------------
 
 

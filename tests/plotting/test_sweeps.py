@@ -1,8 +1,7 @@
-"""Figures, texts and tables of sweeps: of settings and seeds, and over grids in stores."""
+"""Figures, texts and tables of sweeps over settings and seeds."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -79,60 +78,3 @@ def test_text_and_table_have_every_run() -> None:
     assert table["tol"].tolist() == [1e-3, 1e-3, 1e-6, 1e-6]
     assert table["success"].tolist() == [False, False, True, True]
     assert table["seed"].tolist() == [0, 1, 0, 1]
-
-
-# -- grids -----------------------------------------------------------------------------------------
-
-
-def product(H: hamsym.Hamiltonian, z0: np.ndarray, span: Any) -> dict[str, float]:
-    if z0[0] > 2:
-        raise InputError("x is too large")
-    return {"product": H.parameters["k"] * z0[0] + 100 * z0[1]}
-
-
-def stored(folder: Path, **over: Any) -> hamsym.StoredSweep:
-    pytest.importorskip("zarr")
-    pytest.importorskip("pandas")
-    H = hamsym.Hamiltonian("p**2/2 + k*x**2/2", parameters={"k": 1.0})
-    store = folder / "a.zarr"
-    found = hamsym.sweep(H, [0.5, 0.0], SPAN, over=over, task=product, store=store)
-    assert isinstance(found, hamsym.StoredSweep)
-    return found
-
-
-OVER = {"k": [3.0, 1.0, 2.0], "x": [0.5, 1.0, 2.5, 1.5]}
-
-
-@pytest.mark.slow
-def test_two_axes_are_a_plane_with_failures_in_red(tmp_path: Path) -> None:
-    sweep = stored(tmp_path, **OVER)
-    figure = sweep.plot()
-    check_layout(figure)
-    axes = figure.axes[0]
-    np.testing.assert_array_equal(red(axes), [2.5] * 3)
-    drawn = np.ma.filled(axes.collections[0].get_array(), np.nan).reshape(3, 4)
-    np.testing.assert_array_equal(drawn[:, :3], np.outer([1, 2, 3], [0.5, 1, 1.5]))
-    assert np.isnan(drawn[:, 3]).all()
-    assert figure.warning == "3 of 12 points drawn failed, for example: x is too large"
-    table = sweep.to_dataframe()
-    right = np.where(table["x"] > 2, np.nan, table["k"] * table["x"])
-    np.testing.assert_array_equal(table["product"], right)
-    assert "12 of 12 points" in sweep.summary()
-    assert "9 succeeded" in sweep.summary()
-
-
-def test_one_axis_is_a_line(tmp_path: Path) -> None:
-    axes = stored(tmp_path, x=[1.5, 0.5, 2.5]).plot("product").axes[0]
-    np.testing.assert_array_equal(axes.lines[0].get_xdata(), [0.5, 1.5, 2.5])
-    np.testing.assert_array_equal(red(axes), [2.5])
-
-
-@pytest.mark.slow
-def test_further_axes_are_drawn_at_one_value(tmp_path: Path) -> None:
-    sweep = stored(tmp_path, **OVER, p=[0.0, 1.0])
-    assert "plot(at={'p':" in sweep.plot().caption.replace("\n", " ")
-    drawn = sweep.plot(at={"p": 0.9}).axes[0].collections[0].get_array()
-    assert drawn.reshape(3, 4)[0, 0] == 100.5
-    check_layout(sweep.plot(at={"p": 1, "k": 1}))
-    with pytest.raises(InputError, match="'q' is not an axis of the grid"):
-        sweep.plot(at={"q": 1.0})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -132,45 +131,3 @@ def test_commas_in_functions_do_not_separate_conditions() -> None:
     H = hamsym.Hamiltonian("p**2/2 + x**2/2")
     surface = parse_surface(H, "atan2(p, x) = 0, max(x, p) > 0")
     assert len(surface.conditions) == 1
-
-
-def test_sweeps_store_values_of_formulas(tmp_path: Path) -> None:
-    pytest.importorskip("zarr")
-    grid = {"k": [1.0, 4.0], "x": [1.0, 2.0, 3.0]}
-    values = {"potential": "k*x**2/2", "E": "H", "root": sympy.sqrt(sympy.Symbol("x"))}
-    given = {"over": grid, "progress": False}
-    start, span = {"x": 1.0, "p": 0.0}, (0.0, np.pi)
-    found = hamsym.sweep(SPRING, start, span, store=tmp_path / "a.zarr", values=values, **given)
-    k, x = np.meshgrid(*grid.values(), indexing="ij")
-    stored = found.values()
-    np.testing.assert_allclose(stored["potential"], k * x**2 / 2, rtol=1e-6)
-    np.testing.assert_allclose(stored["E"], k * x**2 / 2, rtol=1e-6)
-    assert np.isnan(stored["root"][0]).all()  # at half a period x is negative
-    np.testing.assert_allclose(stored["root"][1], np.sqrt(x[1]), rtol=1e-6)
-    assert found.plot("potential").axes
-    times = hamsym.sweep(
-        SPRING, start, span, store=tmp_path / "b.zarr", values=values, t=[0, 1], **given
-    )
-    assert times.open()["E"].dims == ("k", "x", "time")
-
-
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        (["x"], "is not a mapping; give names with formulas"),
-        ({"a/b": "x"}, "'a/b' in values is no name"),
-        ({"z0_x": "x"}, "'z0_x' in values is a name of the store"),
-        ({"k": "x"}, "'k' in values is a name of the store"),
-        ({"a": "v"}, "'v' does not occur in H"),
-        ({"a": "open('f')"}, "not a known function"),
-    ],
-)
-def test_values_that_no_store_can_hold_are_refused(
-    tmp_path: Path, values: Any, message: str
-) -> None:
-    pytest.importorskip("zarr")
-    with pytest.raises(InputError, match=message):
-        hamsym.sweep(
-            SPRING, [1, 0], (0, 1), over={"k": [1.0, 2.0]}, store=tmp_path / "a.zarr", values=values
-        )
-    assert not list(tmp_path.iterdir())

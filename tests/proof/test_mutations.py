@@ -27,7 +27,8 @@ import pytest
 import hamsym.proof.arithmetic.programs
 import hamsym.proof.windows.enclose
 import hamsym.proof.windows.guessed_windows
-import hamsym.proof.windows.proven_windows
+import hamsym.proof.windows.window_lemma
+import hamsym.proof.windows.window_sets
 from hamsym.kernel import build_backend
 from hamsym.kernel.enclosures import Enclosures, enclosures
 from hamsym.kernel.library import chosen_level
@@ -545,8 +546,9 @@ _NO_POLYNOMIAL = ("sizes[i] = up(error + total)", "sizes[i] = up(error)")
 
 
 def enclosed_misses(L: Any, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    own = hamsym.proof.windows.guessed_windows, hamsym.proof.windows.proven_windows
-    for module in (*own, hamsym.proof.windows.enclose, hamsym.proof.arithmetic.programs):
+    windows = hamsym.proof.windows
+    own = windows.guessed_windows, windows.window_lemma, windows.window_sets, windows.enclose
+    for module in (*own, hamsym.proof.arithmetic.programs):
         monkeypatch.setattr(module, "enclosures", lambda: L)
     found = []
     for name in ("pendulum", "morse", "henon_heiles"):

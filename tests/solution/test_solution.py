@@ -422,34 +422,3 @@ def test_figure_has_its_panels(solution: Solution) -> None:
         "Loss",
     ]
     assert all(axis.lines for axis in figure.axes)
-
-
-# -- the loss at times of one's choice -------------------------------------------------------------
-
-
-def test_loss_is_that_of_residual_and_energy() -> None:
-    problem = harmonic_oscillator()
-    solution = hamsym.solve(
-        problem.H, problem.z0, (0, 2), method=hamsym.Adam(epochs=30, energy_weight=0.5)
-    )
-    t = np.array([0.1, 0.4, 1.9])
-    squares = np.sum(solution.residual(t) ** 2, axis=1)
-    drift = solution.energy(t) - solution.energy(0.0)
-    assert solution.loss(t) == pytest.approx(np.mean(squares + 0.5 * drift**2), rel=1e-12)
-    assert solution.loss(0.4) == pytest.approx(squares[1] + 0.5 * drift[1] ** 2, rel=1e-12)
-    times = torch.tensor(t, requires_grad=True)
-    loss = solution.loss(times)
-    assert loss.item() == pytest.approx(solution.loss(t), rel=1e-12)
-    loss.backward()
-    slope = (solution.loss([0.1, 0.4 + 1e-6, 1.9]) - solution.loss([0.1, 0.4 - 1e-6, 1.9])) / 2e-6
-    assert times.grad[1].item() == pytest.approx(slope, rel=1e-5)
-    with pytest.raises(InputError, match="outside the span"):
-        solution.loss([1.0, 2.5])
-
-
-def test_loss_of_time_dependent_h_takes_the_times() -> None:
-    solution = hamsym.solve("p**2/2 + x**2/2 - x*cos(2*t)", [0, 0], (0, 3), tol=1e-5)
-    t = np.linspace(0, 3, 7)
-    expected = np.mean(np.sum(solution.residual(t) ** 2, axis=1))
-    assert solution.loss(list(t)) == pytest.approx(expected, rel=1e-12)
-    assert solution.loss(torch.tensor(t)).item() == pytest.approx(expected, rel=1e-6)

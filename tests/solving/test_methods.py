@@ -92,7 +92,6 @@ def test_options_mean_the_same_in_every_form() -> None:
     [
         (Features, "max_window", 0, "a number above 0"),
         (Features, "max_window", float("nan"), "a number above 0"),
-        (NetworkChain, "max_window", -1.0, "a number above 0"),
         (NetworkChain, "windows", 1.5, "windows=1.5"),
         (NetworkChain, "train_hidden", 0, "True or False"),
         (NetworkChain, "activation", "tan", "did you mean 'tanh'"),

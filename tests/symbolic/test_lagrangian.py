@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import random
 
-import mpmath
 import numpy as np
 import pytest
 import sympy
 from sympy.physics.mechanics import LagrangesMethod, dynamicsymbols
 
-import hamsym
 from hamsym import Hamiltonian, InputError
 from hamsym.errors import ParameterError, ParseError, VariableError
 from hamsym.formula.parser import parse_expression
 from hamsym.symbolic import legendre
 from hamsym.symbolic.lagrangian import find_velocities
-from hamsym.symbolic.transform_checks import TransformChecks
 
 TIME = dynamicsymbols._t
 
@@ -133,108 +130,26 @@ def test_transform_of_quadratic_lagrangians(text: str, expected: str) -> None:
     assert sympy.simplify(H.expr - known.expr) == 0
 
 
-@pytest.mark.slow_cases(
-    "sqrt(1 + xdot**2)--sqrt(1 - p_x**2)",
-    "-m*c**2*sqrt(1 - xdot**2/c**2) - k*x-m*c**2*sqrt(1 + p_x**2/(m*c)**2) + k*x",
-)
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("-m*c**2*sqrt(1 - xdot**2/c**2) - k*x", "m*c**2*sqrt(1 + p_x**2/(m*c)**2) + k*x"),
-        pytest.param(
-            "-m*c**2*sqrt(1 - (xdot**2 + ydot**2)/c**2) + e*(x*ydot - y*xdot)",
-            "m*c**2*sqrt(1 + ((p_x + e*y)**2 + (p_y - e*x)**2)/(m*c)**2)",
-            marks=pytest.mark.slow,
-        ),
-        ("exp(xdot) - x", "p_x*(log(p_x) - 1) + x"),
-        ("sqrt(1 + xdot**2)", "-sqrt(1 - p_x**2)"),
-        pytest.param(
-            "-sqrt(1 - xdot**2) - m*sqrt(1 - ydot**2) + zdot**2/2 + zdot*x",
-            "sqrt(1 + p_x**2) + m*sqrt(1 + p_y**2/m**2) + (p_z - x)**2/2",
-            marks=pytest.mark.slow,
-        ),
-    ],
-)
-def test_transform_of_other_lagrangians(text: str, expected: str) -> None:
-    H = Hamiltonian.from_lagrangian(text)
-    known = Hamiltonian(expected, q=[s.name for s in H.q], p=[s.name for s in H.p])
-    assert sympy.simplify(H.expr - known.expr) == 0
-
-
-@pytest.mark.slow
-def test_quartic_kinetic_energy_of_either_sign() -> None:
-    """L = v**4/4 has p = v**3 and H = 3/4 |p|**(4/3)."""
-    system = Hamiltonian.from_lagrangian("xdot**4/4 - x**2").compile("numpy")
-    for p in (-8.0, 1.0, 27.0):
-        assert system.energy([0.0, p]) == pytest.approx(0.75 * abs(p) ** (4 / 3))
-        assert system.vector_field([0.0, p])[0] == pytest.approx(np.cbrt(p))
-
-
-@pytest.mark.slow_cases(
-    "xdot**4/4 + xdot**2/2 - x**2/2-<lambda>", "m*xdot**4 + c*xdot**2/2 + 3*xdot - x**2/2-<lambda>"
-)
-@pytest.mark.parametrize(
-    ("text", "rate"),
-    [
-        ("xdot**4/4 + xdot**2/2 - x**2/2", lambda v: v**3 + v),
-        ("m*xdot**4 + c*xdot**2/2 + 3*xdot - x**2/2", lambda v: 8 * v**3 + 5 * v + 3),
-        ("cosh(3*xdot) - x**2/2", lambda v: 3 * mpmath.sinh(3 * v)),
-    ],
-)
-def test_velocities_near_rest_keep_all_digits(text: str, rate) -> None:  # type: ignore[no-untyped-def]
-    names = {"m": 2.0, "c": 5.0} if "m*" in text else None
-    H = Hamiltonian.from_lagrangian(text, parameters=names)
-    system = H.compile("numpy")
-    with mpmath.workdps(50):
-        for exact in (0, *(sign * mpmath.mpf(10) ** k for k in range(-9, 3) for sign in (-1, 1))):
-            p = float(rate(exact))
-            if rate(0) != 0 and abs(exact) < 1e-2:  # p itself has lost the digits of v
-                continue
-            # One step of Newton's method takes the velocity from the momentum to its float.
-            v = exact - (rate(exact) - p) / mpmath.diff(rate, exact)
-            found = system.vector_field([0.0, p])[0]
-            assert abs(found - float(v)) <= 1e-13 * abs(float(v))
-            slope = system.hessian([0.0, p])[1, 1]
-            assert slope == pytest.approx(float(1 / mpmath.diff(rate, v)), rel=1e-10)
-
-
-@pytest.mark.slow
-def test_motion_from_rest_of_a_quartic_kinetic_energy_is_solved() -> None:
-    H = Hamiltonian.from_lagrangian("xdot**4/4 + xdot**2/2 - x**2/2")
-    solution = hamsym.solve(H, [1.0, 0.0], (0, 3))
-    assert solution.success, solution.message
-
-
 @pytest.mark.parametrize(
     "text",
     [
-        "xdot**4/4 + xdot**3/3 + xdot**2 - x**2",
-        "m*xdot**4/4 + a*xdot**2/2 + b*xdot**3 - x**2/2",
+        "-m*c**2*sqrt(1 - xdot**2/c**2) - k*x",
         "xdot**4/4 + a*xdot**2/2 - x**2/2",
         "xdot**2/(1 + xdot**2) - x",
-        "sin(xdot) - x",
+        "sin(xdot)/xdot + ydot**2",
+        "exp(xdot) + ydot**2/2 - x",
+        "xdot**2/2 + xdot*ydot**2",
     ],
 )
-def test_lagrangians_with_branches_are_refused_before_a_search(
-    text: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(legendre, "MAX_SEARCH_EFFORT", 700_000)
-    with pytest.raises(InputError, match="unique functions"):
+def test_lagrangians_that_are_not_quadratic_are_refused(text: str) -> None:
+    with pytest.raises(
+        InputError, match="L is not quadratic in the velocities xdot.*give H itself"
+    ):
         Hamiltonian.from_lagrangian(text)
 
 
-def test_formula_that_loses_digits_at_rest_is_refused() -> None:
-    v, p = sympy.symbols("v p", real=True)
-    checks = TransformChecks(sympy.cosh(v), [v], [p], {})
-    cancelling = sympy.log(p + sympy.sqrt(p**2 + 1))
-    solved = [p * form - sympy.sqrt(1 + p**2) for form in (sympy.asinh(p), cancelling)]
-    assert [checks.agrees(form) for form in solved] == [True, True]
-    assert [checks.is_accurate(form) for form in solved] == [True, False]
-
-
 @pytest.mark.slow_cases(
-    "(p_x**2 - 2*cos(x - y)*p_x*p_y + 2*p_y**2)/(2*(1 + sin(x - y)**2)) - cos(x)",
-    "m*sqrt(1 + (p_x**2 + p_y**2)/m**2) + x**2",
+    "(p_x**2 - 2*cos(x - y)*p_x*p_y + 2*p_y**2)/(2*(1 + sin(x - y)**2)) - cos(x)"
 )
 @pytest.mark.parametrize(
     "text",
@@ -243,7 +158,6 @@ def test_formula_that_loses_digits_at_rest_is_refused() -> None:
         "(p_1 - a*x2)**2/2 + (p_2 + x1)**2/(2*m) + cos(t)*x1",
         "p_r**2/2 + p_phi**2/(2*r**2) - k/r",
         "p_x*p_y + x*y",
-        "m*sqrt(1 + (p_x**2 + p_y**2)/m**2) + x**2",
         "(p_x**2 - 2*cos(x - y)*p_x*p_y + 2*p_y**2)/(2*(1 + sin(x - y)**2)) - cos(x)",
     ],
 )
@@ -358,8 +272,8 @@ def test_ambiguous_velocities_are_refused(text: str, mentions: list[str]) -> Non
         ("(xdot + ydot)**2/2 + zdot**2", ["singular", "xdot - ydot"]),
         ("(a*xdot + ydot)**2/2", ["singular", "-a*ydot + xdot"]),
         ("sin(u)**2*xdot**2 + cos(u)**2*xdot**2 - xdot**2 + x", ["singular", "xdot"]),
-        ("xdot**3/3 - x", ["not quadratic in xdot", "unique"]),
-        ("(xdot**2 + ydot**2)*xdot**2", ["not quadratic in xdot, ydot"]),
+        ("xdot**3/3 - x", ["not quadratic in the velocities xdot", "give H"]),
+        ("(xdot**2 + ydot**2)*xdot**2", ["not quadratic in the velocities xdot, ydot"]),
         ("abs(xdot) + xdot**2", ["Abs(xdot)", "velocities"]),
     ],
 )
@@ -473,24 +387,6 @@ def test_effort_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
         Hamiltonian.from_lagrangian(DOUBLE_PENDULUM)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "1000*log(1 + xdot**2/10**6) - x",
-        "-10**6*cos(xdot/1000) - x",
-    ],
-)
-def test_a_transform_that_is_unique_for_slow_motion_only_is_refused(text: str) -> None:
-    """Their momenta first grow with the velocity, and fall beyond some 1000."""
-    with pytest.raises(InputError, match="unique"):
-        Hamiltonian.from_lagrangian(text)
-
-
-def test_momenta_that_are_unique_for_slow_motion_only_are_refused() -> None:
-    with pytest.raises(InputError, match="unique"):
-        _ = Hamiltonian("10**6*cos(p/10000) + x").lagrangian
-
-
 def test_values_of_parameters_that_make_the_mass_matrix_singular_are_refused() -> None:
     coupled = "(xdot**2 + ydot**2)/2 + k*xdot*ydot - x*y"
     with pytest.raises(InputError, match="singular for k = 1"):
@@ -499,14 +395,3 @@ def test_values_of_parameters_that_make_the_mass_matrix_singular_are_refused() -
     assert found.parameters == {"k": 0.5}
     with pytest.raises(InputError, match="no Lagrangian for k = 0"):
         _ = Hamiltonian("p_x**2/2 + k*p_y**2/2 + x*y", parameters={"k": 0}).lagrangian
-
-
-@pytest.mark.slow
-def test_relativistic_electron_in_units_of_the_si_has_a_lagrangian() -> None:
-    m, c = 9.1e-31, 299792458.0
-    H = Hamiltonian("c*sqrt(m**2*c**2 + p_x**2 + p_y**2) + x*y", parameters={"m": m, "c": c})
-    values = {"x": 2.0, "y": 3.0, "xdot": 1e8, "ydot": -2e8, "m": m, "c": c}
-    found = H.lagrangian
-    number = found.subs({s: values[s.name] for s in found.free_symbols})
-    rest = -m * c**2 * (1 - (1e16 + 4e16) / c**2) ** 0.5
-    assert float(number + 6) == pytest.approx(rest, abs=1e-15)  # 6 = x y

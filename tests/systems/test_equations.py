@@ -69,13 +69,6 @@ def test_stars_attract_each_other_by_their_masses() -> None:
     np.testing.assert_allclose(found, [px / mass, py / mass, *forces], rtol=1e-12)
 
 
-def test_anisotropic_problem_of_equal_masses_is_keplers() -> None:
-    problem = systems.anisotropic_kepler(ratio=1.0)
-    period = 2 * math.pi / (2 - 0.6**2) ** 1.5  # of the semi-axis 1/(2/r - v^2)
-    end = reference(problem.H, problem.z0, (0.0, period))(np.array([period]))[0]
-    np.testing.assert_allclose(end, problem.z0, atol=1e-10)
-
-
 # -- charges ---------------------------------------------------------------------------------------
 
 
@@ -109,12 +102,7 @@ def test_ion_at_the_edge_of_stability_follows_mathieus_function() -> None:
     np.testing.assert_allclose(problem.exact(t)[:, 0], even / even[0], atol=1e-7)
 
 
-def test_waves_overlap_by_chirikovs_estimate() -> None:
-    H = systems.two_waves().H
-    assert 2 * math.sqrt(H.parameters["M"]) + 2 * math.sqrt(H.parameters["P"]) > 1
-
-
-# -- vortices, jets, lattices ----------------------------------------------------------------------
+# -- vortices --------------------------------------------------------------------------------------
 
 
 def test_vortices_move_by_biot_and_savart() -> None:
@@ -125,66 +113,6 @@ def test_vortices_move_by_biot_and_savart() -> None:
     velocity = np.conj(((1 - np.eye(5)) / (1j * distance)).sum(axis=1))
     found = rates(systems.point_vortices(5), np.concatenate((x, y)))
     np.testing.assert_allclose(found, [*velocity.real, *velocity.imag], rtol=1e-12)
-
-
-def test_jet_without_waves_carries_fluid_straight() -> None:
-    problem = systems.bickley_jet(first=0.0, second=0.0)
-    y = problem.z0[1]
-    np.testing.assert_allclose(
-        rates(problem, problem.z0, 2.0), [1 / math.cosh(y) ** 2 - 0.4, 0], atol=1e-15
-    )
-
-
-def test_jet_has_no_twist_in_the_middle() -> None:
-    system = systems.bickley_jet(0.0, 0.0).H.compile("numpy")
-    below, middle, above = (
-        float(system.hessian(*system.arguments(np.array([0.1, y]), 0.0))[1, 1])
-        for y in (-0.2, 0.0, 0.2)
-    )
-    assert middle == 0
-    assert below * above < 0
-
-
-@pytest.mark.parametrize("n", [2, 3, 6])
-def test_discrete_schroedinger_equation_holds(n: int) -> None:
-    problem = systems.discrete_nls(n, coupling=0.7, strength=1.3)
-    q, p = RANDOM.normal(size=(2, n))
-    psi = (q + 1j * p) / math.sqrt(2)
-    neighbours = psi[::-1] if n == 2 else np.roll(psi, 1) + np.roll(psi, -1)
-    change = 1j * (0.7 * neighbours + 1.3 * np.abs(psi) ** 2 * psi)
-    found = rates(problem, np.concatenate((q, p)))
-    expected = math.sqrt(2) * np.concatenate((change.real, change.imag))
-    np.testing.assert_allclose(found, expected, rtol=1e-12)
-
-
-@pytest.mark.slow_cases("8.0")
-@pytest.mark.parametrize("strength", [1.0, 3.9, 4.1, 8.0])
-def test_dimer_follows_the_elliptic_function(strength: float) -> None:
-    """Kenkre & Campbell: cn(2 t | m) for m = (strength/4)^2, by the reciprocal modulus if > 1."""
-    problem = systems.discrete_nls(2, strength=strength)
-    t = np.linspace(0, 10, 101)
-    q1, q2, p1, p2 = reference(problem.H, problem.z0, (0, 10))(t).T
-    m = (strength / 4) ** 2
-    if m < 1:
-        expected = scipy.special.ellipj(2 * t, m)[1]
-    else:
-        expected = scipy.special.ellipj(2 * t * math.sqrt(m), 1 / m)[2]
-    np.testing.assert_allclose((q1**2 + p1**2 - q2**2 - p2**2) / 2, expected, atol=1e-9)
-
-
-@pytest.mark.parametrize(("n", "m"), [(3, 0.5), (4, 0.9), (7, 0.0)])
-def test_travelling_wave_solves_ablowitz_and_ladiks_equation(n: int, m: float) -> None:
-    exact = systems.ablowitz_ladik(n, m).exact
-    assert exact is not None
-
-    def psi(t: float) -> np.ndarray:
-        theta, J = exact(np.array(t)).reshape(2, n)
-        return np.sqrt(np.expm1(J)) * np.exp(1j * theta)
-
-    h, t = 1e-3, 0.7
-    slope = (8 * (psi(t + h) - psi(t - h)) - (psi(t + 2 * h) - psi(t - 2 * h))) / (12 * h)
-    neighbours = np.roll(psi(t), 1) + np.roll(psi(t), -1)
-    np.testing.assert_allclose(1j * slope, -(1 + np.abs(psi(t)) ** 2) * neighbours, atol=1e-9)
 
 
 # -- atoms -----------------------------------------------------------------------------------------

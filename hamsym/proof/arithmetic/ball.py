@@ -13,8 +13,10 @@ from typing import Annotated, Any
 import numpy as np
 
 from hamsym.errors import InputError
+from hamsym.proof.arithmetic.directed import float_above, next_down, next_up
 from hamsym.support.record_fields import convert, floats
 
+_BEYOND = "a ball beyond the range of float64; give smaller numbers"
 _TEXT = re.compile(r"\s*(?P<middle>\S+)\s*(\+-|\+/-|±)\s*(?P<radius>\S+)\s*")
 
 
@@ -85,13 +87,13 @@ class Ball:
     def lower(self) -> Any:
         """A lower bound on the numbers, rounded down."""
         with np.errstate(over="ignore"):
-            return np.nextafter(np.subtract(self.mid, self.radius), -math.inf)
+            return next_down(np.subtract(self.mid, self.radius))
 
     @property
     def upper(self) -> Any:
         """An upper bound on the numbers, rounded up."""
         with np.errstate(over="ignore"):
-            return np.nextafter(np.add(self.mid, self.radius), math.inf)
+            return next_up(np.add(self.mid, self.radius))
 
     @property
     def width(self) -> float:
@@ -173,11 +175,12 @@ def _nearest(middle: Fraction, radius: Fraction | None) -> tuple[float, float]:
         nearest = float(middle)
         if radius is None:
             return nearest, math.inf
-        size = radius + abs(middle - Fraction(nearest))
-        bound = float(size)
     except OverflowError:
-        raise InputError("a ball beyond the range of float64; give smaller numbers") from None
-    return nearest, bound if Fraction(bound) >= size else math.nextafter(bound, math.inf)
+        raise InputError(_BEYOND) from None
+    bound = float_above(radius + abs(middle - Fraction(nearest)))
+    if not bound < math.inf:
+        raise InputError(_BEYOND)
+    return nearest, bound
 
 
 def _around(middle: Fraction, radius: Fraction) -> Ball:

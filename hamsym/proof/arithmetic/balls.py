@@ -7,7 +7,6 @@ exact fractions and take the next number if rounding went the wrong way.
 from __future__ import annotations
 
 import math
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,11 +15,12 @@ from fractions import Fraction
 
 from flint import arb, ctx, fmpq
 
+from hamsym.proof.arithmetic.directed import LARGEST, float_above
+
 _LOCK = threading.RLock()
 _BITS = 240  # of distances from two floats
 _DIGITS = 9  # of the decimals in certificates
 SMALLEST = 1e-300  # positive bound; below 1e-307 floats are coarser than nine digits
-_LARGEST = sys.float_info.max
 _MOST_BITS = 2_000  # before or behind the point of a number near the range of floats
 _UPWARD = Context(prec=_DIGITS, rounding=ROUND_CEILING)
 
@@ -72,22 +72,13 @@ def above(number: arb) -> float:
     size = mantissa.bit_length() + exponent  # 2**size is above the magnitude
     if mantissa and abs(size) > _MOST_BITS:  # such a fraction may be too long for the memory
         low = size < 0
-        return (math.ulp(0.0) if low else math.inf) if mantissa > 0 else (0.0 if low else -_LARGEST)
+        return (math.ulp(0.0) if low else math.inf) if mantissa > 0 else (0.0 if low else -LARGEST)
     return float_above(exact(upper))
 
 
 def below(number: arb) -> float:
     """The largest float64 that is not above any number in the ball."""
     return -above(-number)
-
-
-def float_above(value: Fraction) -> float:
-    """The smallest float64 that is not below a fraction; infinite beyond float64."""
-    try:
-        nearest = float(value)
-    except OverflowError:
-        return math.inf if value > 0 else -_LARGEST
-    return nearest if Fraction(nearest) >= value else math.nextafter(nearest, math.inf)
 
 
 def number_of(value: arb | Fraction) -> tuple[float, float, float]:

@@ -7,7 +7,6 @@ Operations on numbers alone are done in Arb once. Functions become the operation
 
 from __future__ import annotations
 
-import functools as tools
 import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from flint import arb
-from numpy.polynomial import chebyshev
 
 from hamsym.kernel.enclosures import (
     ADD,
@@ -38,9 +36,10 @@ from hamsym.kernel.enclosures import (
     Models,
     enclosures,
 )
-from hamsym.numerics.collocation import turns
+from hamsym.numerics.collocation import chebyshev_tables
 from hamsym.proof.arithmetic import functions
 from hamsym.proof.arithmetic.balls import number_of, working
+from hamsym.proof.arithmetic.directed import up
 from hamsym.proof.arithmetic.functions import Arithmetic
 
 BITS = 240  # of numbers
@@ -310,29 +309,6 @@ _RULES: dict[Any, Callable[..., Any]] = {
 }
 
 
-class Tables:
-    """Chebyshev points x_j = cos(pi (j + 1/2)/n) and matrices between values and series."""
-
-    def __init__(self, terms: int) -> None:
-        self.terms = terms
-        places, degrees = 2 * np.arange(terms) + 1, np.arange(terms + 1)[:, None]
-        # Extended precision is multiplied in one order; libraries have one for each processor.
-        longer = turns(terms)[degrees * places % (4 * terms)]
-        series = longer[:terms].T * np.where(np.arange(terms), 2, 1) / np.longdouble(terms)
-        integrals = chebyshev.chebint(np.eye(terms, dtype=np.longdouble), lbnd=-1).T
-        self.points = longer[1].astype(float)
-        #: values[k, j] = T_k(x_j), series[j, k] its inverse
-        self.values = longer[:terms].astype(float)
-        self.series = np.ascontiguousarray(series.astype(float))
-        #: integral[j, i]: weight of the value at x_j in the integral from -1 to x_i
-        self.integral = np.ascontiguousarray((series @ integrals @ longer).astype(float))
-
-
-@tools.cache
-def tables(terms: int) -> Tables:
-    return Tables(terms)
-
-
 @dataclass(frozen=True, eq=False)
 class Rows:
     """Some models: arrays of shape (n, terms), (n, terms), (n,) and (n,)."""
@@ -354,10 +330,10 @@ class ModelRows:
         rows = program.registers
         self.high, self.low = np.zeros((rows, terms)), np.zeros((rows, terms))
         self.radius, self.length = np.zeros(rows), np.ones(rows, dtype=np.int64)
-        self.tables = tables(terms)
+        guesses = chebyshev_tables(terms)
         #: The same arrays for the library.
         self.models = Models(
-            *(self.tables.values, self.tables.series),
+            *(guesses.values, guesses.series),
             *(self.high, self.low, self.radius, self.length),
         )
         self._set_constants()
@@ -373,7 +349,7 @@ class ModelRows:
         """Put middle + slope x, of balls, into a register."""
         self.high[row, :2] = middle[0], slope[0]
         self.low[row, :2] = middle[1], slope[1]
-        self.radius[row] = (middle[2] + slope[2]) * (1 + 1e-9)
+        self.radius[row] = up(middle[2] + slope[2])
         self.length[row] = 2
 
     def set_number(self, row: int, number: tuple[float, float, float]) -> None:
@@ -392,7 +368,7 @@ class ModelRows:
         """Run the program, in twice float64 or, but for what is still, in float64."""
         self.run_still()
         if not double:
-            self.radius += np.abs(self.low).sum(axis=1) * (1 + 1e-9)
+            self.radius += up(np.abs(self.low).sum(axis=1))
             self.low[:] = 0.0
         enclosures().run_models(self.program.steps, self.models, double)
 
@@ -401,13 +377,6 @@ class ModelRows:
         self._set_constants()
         if len(self.program.still):
             enclosures().run_models(self.program.still, self.models, twice=True)
-
-    def still_values(self) -> np.ndarray:
-        """Values of these registers at the points, rounded, shape (still, points)."""
-        places = self.program.still_places
-        used = np.arange(self.high.shape[1]) < self.length[places, None]
-        values = np.where(used, self.high[places] + self.low[places], 0.0)
-        return enclosures().product(values, self.tables.values)
 
     def taken(self, places: np.ndarray) -> Rows:
         """Some registers."""

@@ -39,26 +39,12 @@ from scipy.sparse import csr_array
 
 from hamsym.kernel.enclosures import enclosures
 from hamsym.proof.arithmetic.balls import above, working
+from hamsym.proof.arithmetic.directed import TINY, UNIT, sum_up
 from hamsym.proof.arithmetic.functions import Arithmetic, SingularityError, general_power
 
 BITS = 160  # of constants, tables and elementary functions
-_UNIT = 2.0**-53
-_TINY = 1e-290
 _ORDERS = 26  # of the series of an elementary function
 _NEGLIGIBLE = 2.0**-58
-
-
-def inflated(values: Any, terms: int = 1) -> Any:
-    """An upper bound on sums of so many numbers >= 0 that were computed in float64."""
-    return values * (1 + 2 * (terms + 32) * _UNIT) + _TINY
-
-
-def deflated(values: Any, terms: int = 1) -> Any:
-    """A lower bound on sums of so many products >= 0 that were computed in float64.
-
-    Zero where underflow may count beside the result.
-    """
-    return np.where(values > _TINY, values * (1 - 2 * (terms + 32) * _UNIT), 0.0)
 
 
 def float_with_radius(number: arb) -> tuple[float, float]:
@@ -177,14 +163,14 @@ class Space:
         enclosures().add_products(found, a, b, *self._pairs)
         size, other = np.abs(a), np.abs(b)
         tail = (self._by_degrees(size) * (self._left_out @ self._by_degrees(other))).sum(axis=0)
-        rounding = 2 * (self.most + 4) * _UNIT * first.amount() * second.amount()
+        rounding = 2 * (self.most + 4) * UNIT * first.amount() * second.amount()
         rest = (
             first.radius * (second.size() + second.radius)
             + first.size() * second.radius
             + tail
             + rounding
         )
-        return Model(self, found, inflated(rest, 2 * self.count))
+        return Model(self, found, sum_up(rest, 2 * self.count))
 
     def _by_degrees(self, sizes: np.ndarray) -> np.ndarray:
         """Sums over the terms of equal degrees."""
@@ -194,28 +180,28 @@ class Space:
         """The integral over tau from -1."""
         size = np.abs(model.coefficients)
         rest = 2 * model.radius + self._beyond @ size
-        rest = rest + 2 * 2 * (self.count + 4) * _UNIT * size.sum(axis=0)
+        rest = rest + 2 * 2 * (self.count + 4) * UNIT * size.sum(axis=0)
         found = self._integral @ model.coefficients
-        return Model(self, found, inflated(rest, 2 * self.count))
+        return Model(self, found, sum_up(rest, 2 * self.count))
 
     def rate(self, model: Model) -> Model:
         """The derivative in tau of a polynomial, whose radius must be 0."""
         if model.radius.any():
             raise ValueError("a Taylor model with a radius has no derivative")
         found = self._rate @ model.coefficients
-        return Model(self, found, inflated(2 * _UNIT * np.abs(found).sum(axis=0), self.count))
+        return Model(self, found, sum_up(2 * UNIT * np.abs(found).sum(axis=0), self.count))
 
     def parts_of(self, model: Model, parts: Parts) -> Model:
         """A model without time on parts of its cells."""
         found = model.coefficients[:, parts.parents]
         rest = model.radius[parts.parents]
-        rest = rest + 2 * (self.most + 4) * _UNIT * model.amount()[parts.parents] * parts.halved
+        rest = rest + 2 * (self.most + 4) * UNIT * model.amount()[parts.parents] * parts.halved
         for k in range(self.inputs):
             for side in (-1, 1):
                 chosen = parts.halved & (parts.axes == k) & (parts.sides == side)
                 if chosen.any():
                     found[:, chosen] = self._half(k, side) @ found[:, chosen]
-        return Model(self, found, np.asarray(inflated(rest)))
+        return Model(self, found, np.asarray(sum_up(rest)))
 
     def _half(self, k: int, side: int) -> csr_array:
         """The matrix of the substitution of (side + s_k)/2 for s_k; its entries are exact."""
@@ -236,8 +222,8 @@ class Space:
         scaled = model.coefficients * powers[self.exponents[:, 0]][:, None]
         found = np.zeros_like(scaled)
         np.add.at(found, self._without_time, scaled)
-        rest = np.abs(scaled).sum(axis=0) * (2 * (self.time_degree + 6) * _UNIT)
-        return Model(self, found, inflated(model.radius + rest, self.count))
+        rest = np.abs(scaled).sum(axis=0) * (2 * (self.time_degree + 6) * UNIT)
+        return Model(self, found, sum_up(model.radius + rest, self.count))
 
     def moved(self, model: Model, start: Model) -> Model:
         """The polynomial of a model, plus one without time, so that at tau = -1 it is ``start``."""
@@ -247,8 +233,8 @@ class Space:
     def at_end(self, model: Model, end: int) -> Model:
         """The model at tau = -1 or 1."""
         found = self._ends[end] @ model.coefficients
-        rest = model.radius + 2 * (self.time_degree + 2) * _UNIT * model.amount()
-        return Model(self, found, inflated(rest))
+        rest = model.radius + 2 * (self.time_degree + 2) * UNIT * model.amount()
+        return Model(self, found, sum_up(rest))
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,7 +274,7 @@ class Model:
     def amount(self) -> np.ndarray:
         """The sum of |coefficients| for each cell, rounded up."""
         if self._amount is None:
-            self._amount = inflated(np.abs(self.coefficients).sum(axis=0), self.space.count)
+            self._amount = sum_up(np.abs(self.coefficients).sum(axis=0), self.space.count)
         return self._amount
 
     def size(self) -> np.ndarray:
@@ -297,20 +283,20 @@ class Model:
             space = self.space
             series = np.abs(space.series @ self.coefficients).sum(axis=0)
             # The entries of a column of the matrix sum up to 1.
-            rounding = 2 * (space.count + 4) * _UNIT * self.amount()
-            self._size = np.minimum(inflated(series + rounding, space.count), self.amount())
+            rounding = 2 * (space.count + 4) * UNIT * self.amount()
+            self._size = np.minimum(sum_up(series + rounding, space.count), self.amount())
         return self._size
 
     def range(self) -> tuple[np.ndarray, np.ndarray]:
         """The middle and the radius of a ball around the values, for each cell."""
         series = self.space.series @ self.coefficients
         rest = np.abs(series[1:]).sum(axis=0) + self.radius
-        rest = rest + 2 * (self.space.count + 4) * _UNIT * self.amount()
-        return series[0], inflated(rest, self.space.count)
+        rest = rest + 2 * (self.space.count + 4) * UNIT * self.amount()
+        return series[0], sum_up(rest, self.space.count)
 
     def largest(self) -> np.ndarray:
         """A bound on |f| for each cell."""
-        return np.asarray(inflated(self.size() + self.radius))
+        return np.asarray(sum_up(self.size() + self.radius))
 
     def __neg__(self) -> Model:
         return Model(self.space, -self.coefficients, self.radius)
@@ -319,8 +305,8 @@ class Model:
         if not isinstance(other, Model):
             return self.plus(*_known(other))
         found = self.coefficients + other.coefficients
-        rest = self.radius + other.radius + _UNIT * np.abs(found).sum(axis=0)
-        return Model(self.space, found, inflated(rest, self.space.count))
+        rest = self.radius + other.radius + UNIT * np.abs(found).sum(axis=0)
+        return Model(self.space, found, sum_up(rest, self.space.count))
 
     def __sub__(self, other: Model | arb | int) -> Model:
         return self + (-other)
@@ -339,18 +325,18 @@ class Model:
         """The product with a number, or one for each cell, known up to a radius."""
         found = self.coefficients * factor
         rest = np.abs(factor) * self.radius + radius * self.largest()
-        rest = rest + _UNIT * np.abs(found).sum(axis=0)
-        return Model(self.space, found, inflated(rest, self.space.count))
+        rest = rest + UNIT * np.abs(found).sum(axis=0)
+        return Model(self.space, found, sum_up(rest, self.space.count))
 
     def plus(self, number: Any, radius: Any = 0.0) -> Model:
         """The sum with a number, or one for each cell, known up to a radius."""
         found = self.coefficients.copy()
         found[0] += number
-        return Model(self.space, found, inflated(self.radius + radius + _UNIT * np.abs(found[0])))
+        return Model(self.space, found, sum_up(self.radius + radius + UNIT * np.abs(found[0])))
 
     def widened(self, radius: Any) -> Model:
         """The model with a larger radius."""
-        return Model(self.space, self.coefficients, inflated(self.radius + radius))
+        return Model(self.space, self.coefficients, sum_up(self.radius + radius))
 
     def polynomial(self) -> Model:
         """The polynomial alone."""
@@ -383,10 +369,10 @@ class Model:
         with np.errstate(all="ignore"):
             factors = np.repeat(half[None], _ORDERS + 1, axis=0)
             factors[0] = 1
-            powers = inflated(np.multiply.accumulate(factors), 4 * _ORDERS)
-            remainders = inflated(ranges * powers)
+            powers = sum_up(np.multiply.accumulate(factors), 4 * _ORDERS)
+            remainders = sum_up(ranges * powers)
             small = np.abs(values) * powers <= _NEGLIGIBLE * np.nanmax(
-                np.abs(values) * powers, axis=0, initial=_TINY
+                np.abs(values) * powers, axis=0, initial=TINY
             )
             order = _ORDERS - 1
             valid = np.isfinite(remainders).any(axis=0)

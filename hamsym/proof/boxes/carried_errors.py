@@ -28,6 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hamsym.proof.arithmetic.balls import ball, working
+from hamsym.proof.arithmetic.directed import UNIT, sum_up
 from hamsym.proof.arithmetic.generated import ParameterSlopes
 from hamsym.proof.arithmetic.taylor_models import (
     BITS,
@@ -35,12 +36,10 @@ from hamsym.proof.arithmetic.taylor_models import (
     Model,
     Parts,
     float_with_radius,
-    inflated,
     total,
 )
 from hamsym.proof.boxes.tube import Matrix, StepModels, Stepper, kept_bound, sizes
 
-_UNIT = 2.0**-53
 _TINY = 1e-250
 _TRIES = 8
 _ROOM = 1.05  # of a bound on derivatives
@@ -128,7 +127,7 @@ class CarriedErrors:
         ]
         w = self._on_step(0, models, change, shifts, models.forced)
         linear = np.array([model.largest() for model in _product(models.fundamental, w)])
-        linear = inflated(linear + self._spread(models)[:, 0])
+        linear = sum_up(linear + self._spread(models)[:, 0])
         bound, rest, curvature = kept_bound(self.stepper.flow, models, linear)
         before = np.array([model.radius for model in self.columns[0]])
         more = np.array([space.at_end(model, 1).radius for model in w]) - before + rest
@@ -147,7 +146,7 @@ class CarriedErrors:
         """W of a column on a step."""
         space = self.stepper.space
         wider = np.einsum("ijc,jc->ic", change, self.present[:, number])
-        wider = inflated(wider, len(change))
+        wider = sum_up(wider, len(change))
         found = [model.widened(r) for model, r in zip(self.columns[number], wider, strict=True)]
         if shifts is not None:
             found = [a + b for a, b in zip(found, shifts, strict=True)]
@@ -171,11 +170,11 @@ class CarriedErrors:
         amounts = np.array([[model.amount() for model in row] for row in matrix])
         product = np.einsum("ijc,jktc,klc->iltc", left, entries, self.frame, optimize=True)
         found = np.abs(product).sum(axis=2)
-        rounding = radius + 2 * (2 * dim + 6) * _UNIT * amounts
+        rounding = radius + 2 * (2 * dim + 6) * UNIT * amounts
         sides = np.abs(left), rounding, np.abs(self.frame)
         found += np.einsum("ijc,jkc,klc->ilc", *sides, optimize=True)
         found = np.einsum("ilc,lkc->ikc", found, self.radii)
-        return np.asarray(inflated(found, entries.shape[2] + 6 * dim))
+        return np.asarray(sum_up(found, entries.shape[2] + 6 * dim))
 
     def after(
         self, models: StepModels, step: ErrorStep
@@ -184,9 +183,9 @@ class CarriedErrors:
         dim, space = self.stepper.flow.dim, self.stepper.space
         with np.errstate(all="ignore"):  # infinite where there is no bound
             M, S = sizes(models.fundamental), sizes(models.adjoint)
-            near = inflated(np.einsum("ijkc,kc->ijc", step.curvature, step.bound), dim)
-            grown = inflated(models.mismatch + np.einsum("ijc,jkc->ikc", S, near), 2 * dim)
-            grown = inflated(models.length * grown)
+            near = sum_up(np.einsum("ijkc,kc->ijc", step.curvature, step.bound), dim)
+            grown = sum_up(models.mismatch + np.einsum("ijc,jkc->ikc", S, near), 2 * dim)
+            grown = sum_up(models.length * grown)
             spread = self._spread(models)
             every, bounds, rests = [step.w], [step.bound], [step.rest]
             V, V_error = [], []
@@ -194,7 +193,7 @@ class CarriedErrors:
                 w = self._on_step(number, models, step.change, None, forced)
                 main = _product(models.fundamental, w)
                 linear = np.array([model.largest() for model in main]) + spread[:, number]
-                bound, rest = _kept_below(inflated(linear), M, grown, models.rest)
+                bound, rest = _kept_below(sum_up(linear), M, grown, models.rest)
                 middle, beside = _without_inputs(main)
                 beside = beside + spread[:, number] + np.einsum("ijc,jc->ic", M, rest)
                 beside = beside + np.einsum("ijc,jc->ic", models.rest, bound)
@@ -202,7 +201,7 @@ class CarriedErrors:
                 bounds.append(bound)
                 rests.append(rest)
                 V.append(middle)
-                V_error.append(inflated(beside, 3 * dim))
+                V_error.append(sum_up(beside, 3 * dim))
             columns = [
                 [space.at_end(model, 1).widened(r) for model, r in zip(own, rest, strict=True)]
                 for own, rest in zip(every, rests, strict=True)
@@ -248,14 +247,14 @@ class CarriedErrors:
         main = [_product(ends, own) for own in self.columns]
         added = np.stack([[model.radius for model in own] for own in main], axis=1)
         added = added + np.einsum("ijc,jkc->ikc", models.rest, self.present)
-        added = inflated(added, 2 * dim)
+        added = sum_up(added, 2 * dim)
         middle = np.array([[entry.coefficients[0] for entry in row] for row in ends])
         frame, inverse, share = _orthogonal(
             np.einsum("ijc,jkc,kc->ikc", middle, self.frame, self.radii[:, 0]), added[:, 0]
         )
         radii = self._moved(inverse, ends)
-        radii = inflated(radii + np.einsum("ijc,jkc->ikc", np.abs(inverse), added), 2 * dim)
-        radii = inflated(radii + share * radii.max(axis=0))
+        radii = sum_up(radii + np.einsum("ijc,jkc->ikc", np.abs(inverse), added), 2 * dim)
+        radii = sum_up(radii + share * radii.max(axis=0))
         columns = [[model.polynomial() for model in own] for own in main]
         one = self.stepper.first(len(share))
         present = self.present
@@ -283,9 +282,9 @@ def _orthogonal(edges: np.ndarray, beside: np.ndarray) -> tuple[np.ndarray, np.n
     frame, inverse = Q * units[:, None], Q.transpose(1, 0, 2) / units[None]
     product = np.einsum("ijc,jkc->ikc", inverse, frame) - np.eye(dim)[:, :, None]
     large = np.einsum("ijc,jkc->ikc", np.abs(inverse), np.abs(frame))
-    off = np.abs(product) + 2 * (dim + 4) * _UNIT * (large + 1)
-    norm = inflated(off.sum(axis=1).max(axis=0), 2 * dim)  # of 1 - X B
-    return frame, inverse, np.where(norm < 0.5, inflated(norm / (1 - norm)), np.inf)
+    off = np.abs(product) + 2 * (dim + 4) * UNIT * (large + 1)
+    norm = sum_up(off.sum(axis=1).max(axis=0), 2 * dim)  # of 1 - X B
+    return frame, inverse, np.where(norm < 0.5, sum_up(norm / (1 - norm)), np.inf)
 
 
 def _kept_below(
@@ -296,9 +295,9 @@ def _kept_below(
     bound, added = np.full_like(linear, np.inf), np.full_like(linear, np.inf)
     guess = _ROOM * linear + _TINY
     for _ in range(_TRIES):
-        x = inflated(np.einsum("ijc,jc->ic", grown, guess), dim)
+        x = sum_up(np.einsum("ijc,jc->ic", grown, guess), dim)
         found = linear + np.einsum("ijc,jc->ic", M, x) + np.einsum("ijc,jc->ic", rest, guess)
-        found = inflated(found, 2 * dim)
+        found = sum_up(found, 2 * dim)
         below = (found < guess).all(axis=0)
         bound, added = np.where(below, found, bound), np.where(below, x, added)
         if below.all():
@@ -313,4 +312,4 @@ def _without_inputs(column: list[Model]) -> tuple[np.ndarray, np.ndarray]:
     alone = space.exponents[:, 1:].sum(axis=1) == 0
     values = np.array([model.coefficients[alone] for model in column])
     rest = [np.abs(model.coefficients[~alone]).sum(axis=0) + model.radius for model in column]
-    return values, np.asarray(inflated(np.array(rest), space.count))
+    return values, np.asarray(sum_up(np.array(rest), space.count))

@@ -24,17 +24,15 @@ from flint import arb, arb_poly
 
 from hamsym.flow_maps.expansion import Leg, Piece
 from hamsym.proof.arithmetic.balls import ball, working
+from hamsym.proof.arithmetic.directed import UNIT, sum_down, sum_up
 from hamsym.proof.arithmetic.taylor_models import (
     BITS,
     Model,
     Space,
-    deflated,
     float_with_radius,
-    inflated,
     multi_indices,
 )
 
-_UNIT = 2.0**-53
 _TABLE_BITS = 400  # the tables of Chebyshev polynomials cancel
 _ROUND_OFF = 2.0**-100  # above the radii of their balls
 
@@ -78,7 +76,7 @@ def _line(space: Space, lines: Sequence[tuple[Fraction, Fraction]], term: tuple[
     coefficients = np.zeros((space.count, len(lines)))
     coefficients[0] = values[:, 0]
     coefficients[space.places[term]] += values[:, 2]
-    return Model(space, coefficients, inflated(values[:, 1] + values[:, 3]))
+    return Model(space, coefficients, sum_up(values[:, 1] + values[:, 3]))
 
 
 def _rounded(value: Fraction) -> tuple[float, float]:
@@ -149,12 +147,12 @@ class LegModels:
                     entries = polynomial.coeffs()
                     whole = arb_poly([abs(entry) for entry in entries])(width)
                     value, radius = float_with_radius(whole)
-                    sums[k, n, cell] = inflated(value + radius)
+                    sums[k, n, cell] = sum_up(value + radius)
                     for j, entry in enumerate(entries[: self._space.degree + 1]):
                         found[k, n, j, cell] = value = float(entry.mid())
                         known = entry.rad() < _ROUND_OFF
                         radii[k, n, j, cell] = (
-                            2 * _UNIT * abs(value) + 2 * _ROUND_OFF if known else np.inf
+                            2 * UNIT * abs(value) + 2 * _ROUND_OFF if known else np.inf
                         )
         return found, radii, sums
 
@@ -179,28 +177,28 @@ class LegModels:
             for k in range(d):
                 values = table[k, :, :, cell][degrees[:, k]].T[indices[:, k]]
                 spread = radii[k, :, :, cell][degrees[:, k]].T[indices[:, k]]
-                errors = inflated(errors * (np.abs(values) + spread) + bounds * spread)
+                errors = sum_up(errors * (np.abs(values) + spread) + bounds * spread)
                 factors = factors * values
-                bounds = inflated(bounds * (np.abs(values) + spread))
-                wholes = inflated(wholes * sums[k, degrees[:, k], cell])
-                sizes = deflated(sizes * powers_of_size[k, indices[:, k], cell])
-            errors = inflated(errors + 2 * d * _UNIT * bounds)
+                bounds = sum_up(bounds * (np.abs(values) + spread))
+                wholes = sum_up(wholes * sums[k, degrees[:, k], cell])
+                sizes = sum_down(sizes * powers_of_size[k, indices[:, k], cell])
+            errors = sum_up(errors + 2 * d * UNIT * bounds)
             # What is kept is rounded down, which makes the part that is left out larger.
-            shares = deflated(np.maximum(np.abs(factors) - errors, 0) * sizes[:, None])
-            kept = deflated(shares.sum(axis=0), len(indices))
-            left_out = inflated(np.maximum(wholes - kept, 0), n)
+            shares = sum_down(np.maximum(np.abs(factors) - errors, 0) * sizes[:, None])
+            kept = sum_down(shares.sum(axis=0), len(indices))
+            left_out = sum_up(np.maximum(wholes - kept, 0), n)
             q = factors @ readouts
-            q_errors = inflated(
-                errors @ weights + 2 * (n + 4) * _UNIT * (np.abs(factors) @ weights), 2 * n
+            q_errors = sum_up(
+                errors @ weights + 2 * (n + 4) * UNIT * (np.abs(factors) @ weights), 2 * n
             )
             found[:, :, cell] = powers[:, :, cell].T @ q
             q_sizes = np.abs(q)
-            lengths = inflated(np.abs(powers[:, :, cell]).sum(axis=1), len(indices))
-            rest[:, cell] = inflated(
+            lengths = sum_up(np.abs(powers[:, :, cell]).sum(axis=1), len(indices))
+            rest[:, cell] = sum_up(
                 left_out @ weights
                 + (lengths + power_radii[:, cell]) @ q_errors
                 + power_radii[:, cell] @ q_sizes
-                + 2 * (len(indices) + 4) * _UNIT * (lengths @ q_sizes),
+                + 2 * (len(indices) + 4) * UNIT * (lengths @ q_sizes),
                 2 * max(n, len(indices)),
             )
         return found, rest
@@ -252,8 +250,8 @@ class LegModels:
         weights = np.abs(piece.columns)
         for table in tables:
             value = np.einsum("rni,na->rai", piece.columns, table[:, :, 0])
-            spread = np.abs(table[:, :, 0]) * (2 * (terms + 4) * _UNIT) + table[:, :, 1]
-            found.append((value, inflated(np.einsum("rni,na->rai", weights, spread), 2 * terms)))
+            spread = np.abs(table[:, :, 0]) * (2 * (terms + 4) * UNIT) + table[:, :, 1]
+            found.append((value, sum_up(np.einsum("rni,na->rai", weights, spread), 2 * terms)))
         return found
 
     def _contracted(self, psi: np.ndarray, spread: np.ndarray, i: int) -> Model:
@@ -262,9 +260,9 @@ class LegModels:
         _, values, radii = self._readouts
         rank, most = psi.shape[:2]
         full = np.einsum("ra,nrc->anc", psi[:, :, i], values, optimize=True)
-        sizes = inflated(np.abs(values).sum(axis=0), len(values))
-        amounts = inflated(np.abs(psi[:, :, i]).sum(axis=1), most)
-        spreads = inflated(spread[:, :, i].sum(axis=1), most)
+        sizes = sum_up(np.abs(values).sum(axis=0), len(values))
+        amounts = sum_up(np.abs(psi[:, :, i]).sum(axis=1), most)
+        spreads = sum_up(spread[:, :, i].sum(axis=1), most)
         coefficients = np.zeros((self._space.count, values.shape[2]))
         left_out = np.zeros(values.shape[2])
         for a in range(most):
@@ -277,16 +275,16 @@ class LegModels:
         rest = (
             left_out
             + (amounts + spreads) @ radii
-            + (spreads + 2 * (rank + 4) * _UNIT * amounts) @ sizes
+            + (spreads + 2 * (rank + 4) * UNIT * amounts) @ sizes
         )
-        return Model(self._space, coefficients, inflated(rest, rank + full[:, :, 0].size))
+        return Model(self._space, coefficients, sum_up(rest, rank + full[:, :, 0].size))
 
 
 def _lower_powers(sizes: np.ndarray, degree: int) -> np.ndarray:
     """Lower bounds on the powers of numbers >= 0, by products: shape (d, degree + 1, cells)."""
     found = [np.ones_like(sizes)]
     for _ in range(degree):
-        found.append(deflated(found[-1] * sizes))
+        found.append(sum_down(found[-1] * sizes))
     return np.stack(found, axis=1)
 
 

@@ -10,9 +10,10 @@ import numpy as np
 
 from hamsym.flow_maps.expansion import Leg
 from hamsym.flow_maps.flow_map import FlowMap
+from hamsym.proof.arithmetic.directed import UNIT
 from hamsym.proof.arithmetic.taylor_models import Model, Space, space_of
 from hamsym.proof.boxes.map_models import LegModels, Step, affine_models
-from hamsym.proof.public_check import ROOM, UNIT, require_same
+from hamsym.proof.public_check import ROOM, require_same
 
 _PIECES, _STARTS, _REGIONS = 8, 4, 8  # of a flow map
 

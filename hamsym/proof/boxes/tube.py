@@ -44,6 +44,7 @@ import sympy
 from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof.arithmetic.balls import ball, working
+from hamsym.proof.arithmetic.directed import sum_up
 from hamsym.proof.arithmetic.functions import SingularityError
 from hamsym.proof.arithmetic.generated import GeneratedFunctions
 from hamsym.proof.arithmetic.taylor_models import (
@@ -52,7 +53,6 @@ from hamsym.proof.arithmetic.taylor_models import (
     Model,
     Space,
     float_with_radius,
-    inflated,
     total,
 )
 from hamsym.proof.boxes.map_models import Step
@@ -180,7 +180,7 @@ class StepModels:
     def length(self) -> float:
         with working(BITS):
             value, radius = float_with_radius(ball(2 * abs(self.step.half)))
-        return float(inflated(value + radius))
+        return float(sum_up(value + radius))
 
 
 def sizes(matrix: list[list[Model]]) -> np.ndarray:
@@ -336,7 +336,7 @@ class Tube:
                 self._w[i] = total([self._w[i], *extra])
             if self._last is not None:
                 change = np.array([(starts[i][j] - self._last[i][j]).largest() for j in range(dim)])
-                self._w[i] = self._w[i].widened(inflated((change * self._present).sum(axis=0), dim))
+                self._w[i] = self._w[i].widened(sum_up((change * self._present).sum(axis=0), dim))
         self._jump = None
         with working(BITS):
             half = float_with_radius(ball(models.step.half))
@@ -377,10 +377,10 @@ def kept_bound(
                 curvature = flow.curvature([*widened, *models.arguments[dim:]])
             except SingularityError:
                 break
-        q = inflated(np.einsum("ijkc,jc,kc->ic", curvature, D, D) / 2, dim * dim)
+        q = sum_up(np.einsum("ijkc,jc,kc->ic", curvature, D, D) / 2, dim * dim)
         inside = np.einsum("ijc,jc->ic", models.mismatch, D) + np.einsum("ijc,jc->ic", S, q)
-        x = inflated(models.length * inflated(inside, 2 * dim))
-        found = inflated(
+        x = sum_up(models.length * sum_up(inside, 2 * dim))
+        found = sum_up(
             linear + np.einsum("ijc,jc->ic", M, x) + np.einsum("ijc,jc->ic", models.rest, D),
             2 * dim,
         )

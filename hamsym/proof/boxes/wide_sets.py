@@ -21,12 +21,12 @@ import numpy as np
 
 from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.proof.arithmetic.directed import UNIT, sum_up
 from hamsym.proof.arithmetic.functions import SingularityError
 from hamsym.proof.arithmetic.generated import ParameterSlopes
 from hamsym.proof.arithmetic.taylor_models import (
     Model,
     Parts,
-    inflated,
     space_of,
 )
 from hamsym.proof.boxes.carried_errors import CarriedErrors, ErrorStep
@@ -126,8 +126,8 @@ class SetWindow:
         count = self.V.shape[2]
         powers = np.array([float(x**a) for a in range(count)])
         terms = self.V * powers[:, None]
-        rounding = 2 * (count + 6) * 2.0**-53 * np.abs(terms).sum(axis=2)
-        return _hull(terms.sum(axis=2), inflated(self.V_error + rounding, count))
+        rounding = 2 * (count + 6) * UNIT * np.abs(terms).sum(axis=2)
+        return _hull(terms.sum(axis=2), sum_up(self.V_error + rounding, count))
 
 
 def _hull(middle: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -135,7 +135,7 @@ def _hull(middle: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarra
     low, high = (middle - radius).min(axis=-1), (middle + radius).max(axis=-1)
     found = np.where(np.isfinite(high - low), (low + high) / 2, middle[..., 0])
     distance = np.abs(middle - found[..., None])
-    return found, np.asarray(inflated((distance + radius).max(axis=-1)))
+    return found, np.asarray(sum_up((distance + radius).max(axis=-1)))
 
 
 @dataclass
@@ -213,11 +213,7 @@ class WideSet:
             self._deadline.check(f"the solutions were enclosed, at t = {t:.6g}")
             length = min(self._length, self.total - self.elapsed)
             if not length > self.total * _SHORTEST and length < self.total - self.elapsed:
-                raise CertificationError(
-                    f"no enclosure beyond t = {t:.6g}: {reason} {self.parts:,} "
-                    f"part{'s' * (self.parts > 1)}; use narrower balls, an earlier end time or "
-                    "more parts (max_parts)"
-                )
+                raise self._refusal(t, reason)
             with np.errstate(all="ignore"):  # infinite and NaN are refused
                 found, tail = self._candidate(length)
             # The factor of the length at which the terms in x that are left out would be allowed.
@@ -246,11 +242,20 @@ class WideSet:
                 self._split(Parts.halving(wide, self._axes(found.models)))
                 self._length, before, halvings = longest, np.inf, 0
             elif np.isfinite(found.errors.bound).all():
+                if (found.errors.bound > found.extent).all(axis=0).any():
+                    raise self._refusal(t, reason)
                 window = self._accept(length, found)
                 self._length = _short(longest * Fraction(_GROWTH)) if resolved else longest
                 return window
             else:
                 self._length = longest = _short(length / 2)
+
+    def _refusal(self, t: float, reason: str) -> CertificationError:
+        return CertificationError(
+            f"no enclosure beyond t = {t:.6g}: {reason} {self.parts:,} "
+            f"part{'s' * (self.parts > 1)}; use narrower balls, an earlier end time or more parts "
+            "(max_parts)"
+        )
 
     def _patience(self, length: Fraction) -> float:
         """What a step may add until its parts are halved, in units of what is aimed at.

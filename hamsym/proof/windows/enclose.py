@@ -18,12 +18,14 @@ from hamsym.kernel.enclosures import enclosures
 from hamsym.problems.problem import InitialValueProblem
 from hamsym.proof.arithmetic.ball import Ball
 from hamsym.proof.arithmetic.balls import number_of
+from hamsym.proof.arithmetic.directed import up
 from hamsym.proof.arithmetic.float64_arithmetic import require_float64
 from hamsym.proof.boxes.wide_sets import SetWindow, WideSet
 from hamsym.proof.limits import Deadline, TimeLimitError
 from hamsym.proof.windows.equation import equation_of
-from hamsym.proof.windows.proven_windows import ErrorSet, Window, WindowStepper
+from hamsym.proof.windows.proven_windows import WindowStepper
 from hamsym.proof.windows.public_windows import check_enclosure
+from hamsym.proof.windows.window_sets import ErrorSet, Window
 from hamsym.solution.times import times_in_span
 from hamsym.support.record_fields import UNSAVED, OneOf, Size
 from hamsym.support.shown import Drawn, Saved
@@ -43,7 +45,7 @@ def enclose(
     *,
     parameters: Mapping[str, Any] | None = None,
     time_limit: float | None = None,
-    max_parts: int = 64,
+    max_parts: int = 16,
 ) -> Enclosure:
     """Enclose the exact solution of Hamilton's equations, rigorously.
 
@@ -404,7 +406,7 @@ class Enclosure(Drawn, Saved):
         matrix, error = enclosures().matrix_value(window.V, basis)
         radius = enclosures().set_radius(matrix, error, window.G, window.R[:, None])[:dim, 0]
         radius = radius + window.beside + np.abs(value[:, 1]) + value[:, 2]
-        return [value[:, 0], radius * (1 + 1e-9)]
+        return [value[:, 0], up(radius)]
 
     def _slopes(self, k: int, basis: Any) -> Sequence[np.ndarray]:
         """dz/d(z0, k): the derivative of the window times that of the windows before."""
@@ -417,7 +419,7 @@ class Enclosure(Drawn, Saved):
         columns = len(middle)
         found, rounding = enclosures().moved_set(matrix, error, middle, np.eye(columns))
         beside = enclosures().set_radius(matrix, error, rest.G, rest.R)
-        return [found, (rounding + beside) * (1 + 1e-9)]
+        return [found, up(rounding + beside)]
 
     def _derivative_before(self, k: int) -> tuple[np.ndarray, ErrorSet]:
         """dz/d(z0, k) at the start of window k: a matrix and the set of its errors."""
@@ -431,7 +433,7 @@ class Enclosure(Drawn, Saved):
             middle, rest = known[-1]
             error = window.J_error.copy()
             error[: self.H.dim] += window.derivative
-            error *= 1 + 1e-9
+            error = up(error)
             fresh, rounding = enclosures().moved_set(window.J, error, middle, np.eye(len(middle)))
             known.append((fresh, rest.moved(window.J, error, rounding, window.units)))
         self._derivatives[:] = known

@@ -3,24 +3,24 @@
 The polynomial y solves the equations by collocation in float64; linear corrections of its defect
 complete it to twice float64. V follows from linear equations along y, and the units balance their
 matrix. All this is heuristic: a bad guess gives wide bounds, or a window that is refused and made
-shorter. Proven are only the bounds D on the defect of y, whatever y is
-(:mod:`hamsym.proof.windows.proven_windows` proves the rest); they need low parts of y within half
-an ulp of its high parts.
+shorter. What is proven of it, :mod:`hamsym.proof.windows.window_lemma` proves from the numbers
+alone.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from fractions import Fraction
-from typing import Any
 
 import numpy as np
 
 from hamsym.kernel.enclosures import enclosures
+from hamsym.numerics.collocation import chebyshev_tables
 from hamsym.numerics.scales import coupled_sizes
-from hamsym.proof.arithmetic.programs import ModelRows, tables
-from hamsym.proof.windows.equation import Equation
+from hamsym.proof.arithmetic.directed import two_sum
+from hamsym.proof.arithmetic.programs import ModelRows
+from hamsym.proof.windows.window_lemma import TooLongError, WindowLemma
+from hamsym.proof.windows.window_sets import powers_of_two
 
 #: Size up to which a component is at rest.
 AT_REST = 1e-200
@@ -41,39 +41,18 @@ _LOOSE = 32.0
 _FINEST = 1e-28
 # Round-off of coefficients, relative to the component.
 _ROUND_OFF = 2e-14
-# Mantissa from which numbers are rounded up to a power of two.
-_THRESHOLD = 0.70137
+# Rest of a window beside its derivative, in units of the accuracy, from which it is shortened.
+_REST = 1e4
+# Growth of the defect to the rest that is always allowed.
+_GROWTH = 1e3
 # Drop of the coefficients to round-off which is that of a polynomial.
 _ABRUPT = 1e3
 
 
-class TooLongError(Exception):
-    """A window is too long: the factor of the length to try next, and why, where it is known."""
-
-    def __init__(self, factor: float, reason: str = "") -> None:
-        super().__init__(reason)
-        self.factor, self.reason = factor, reason
-
-
-@dataclass(frozen=True)
-class Place:
-    """A window that is tried: half its length, exact and rounded, and balls of time."""
-
-    half: Fraction
-    w: float
-    #: middle, slope: The time is middle + slope x.
-    middle: tuple[float, float, float]
-    slope: tuple[float, float, float]
-
-
 @dataclass(frozen=True, eq=False)
 class Guess:
-    """What is guessed of a window."""
+    """What is guessed of a window beside y."""
 
-    #: y in twice float64, in the first registers.
-    y: ModelRows
-    #: Proven bounds on the defect of y, shape (dim,).
-    D: np.ndarray
     #: Near the derivatives by the state and the constants, shape (dim, columns, terms).
     V: np.ndarray
     #: Of the components, shape (dim,).
@@ -85,27 +64,18 @@ class Guess:
 class WindowGuess:
     """Guesses one window after the other, with what the last ones tell.
 
-    - centre: Middle of the initial set, shape (columns,); the constants are the last.
+    - lemma: To which y is given; its bounds on the defect tell how good y is.
     - accuracy: Of the polynomials, relative to the components.
     """
 
-    def __init__(
-        self, equation: Equation, direction: int, centre: np.ndarray, accuracy: float, terms: int
-    ) -> None:
-        self._equation, self._direction = equation, direction
-        self._accuracy, self._terms, self._tables = accuracy, terms, tables(terms)
-        dim = equation.dim
-        #: State at which y starts, in twice float64.
-        self.centre, self.centre_low = centre[:dim].astype(float), np.zeros(dim)
-        self.constants = centre[dim:].astype(float)
+    def __init__(self, lemma: WindowLemma, direction: int, accuracy: float, terms: int) -> None:
+        self._lemma, self._equation, self._direction = lemma, lemma.equation, direction
+        self._accuracy, self._terms, self._tables = accuracy, terms, chebyshev_tables(terms)
+        dim = self._equation.dim
         #: Largest sizes of the components so far.
-        self.sizes = np.abs(self.centre)
-        self._rates = ModelRows(equation.rates, terms)
-        #: For DG over a tube too, which uses the parts of a window that do not move.
-        self.jacobian = ModelRows(equation.jacobian, terms)
-        self.signs = equation.signs * direction
+        self.sizes = np.abs(lemma.centre)
         self._rows = [
-            np.repeat(models.high[:, :1], terms, axis=1) for models in (self._rates, self.jacobian)
+            np.repeat(models.high[:, :1], terms, axis=1) for models in (lemma.rates, lemma.jacobian)
         ]
         self._defect = np.full(dim, math.inf)  # per time, of the try before
         self._round_off = np.zeros(dim)  # defects per time that no window reduced
@@ -114,68 +84,85 @@ class WindowGuess:
         """Begin another window, with which the defects of the last one are not compared."""
         self._defect = np.full(self._equation.dim, math.inf)
 
-    def window(self, place: Place, radii: np.ndarray) -> Guess:
-        """Guess a window; raise TooLongError if the solution is not resolved there.
+    def window(self, radii: np.ndarray) -> Guess:
+        """Guess the window at the place of the lemma; leave y there.
+
+        Raise TooLongError if the solution is not resolved there.
 
         - radii: Of the components from the initial set alone, shape (dim,).
         """
-        sizes, y = self._collocated(place)
+        lemma = self._lemma
+        w = lemma.place.w
+        sizes, y = self._collocated(w)
         # What the others drive a component to; its round-off has that scale if it is nearly zero.
         couplings = self._couplings()
-        driven = place.w * enclosures().product(couplings, sizes)
+        driven = w * enclosures().product(couplings, sizes)
         tail, factor = self._decay(y, np.maximum(sizes, 0.02 * driven))
         if not tail <= 30 * self._accuracy:
             raise TooLongError(min(max(0.9 * factor, 0.25), 0.8))
         sizes = np.maximum(self.sizes, np.maximum(sizes, 1e-8 * driven))
-        units = self._units(place.w, couplings, sizes, radii)
-        models, D = self._completed(place, y, units)
+        units = self._units(w, couplings, sizes, radii)
+        self._complete(w, y, units)
+        D = lemma.D
         if not np.isfinite(D).all():
             raise TooLongError(0.5, "a function was not resolved")
         self.sizes = sizes
-        factor = self._resolved(D / place.w, D, factor)
+        factor = self._resolved(D / w, D, factor)
         # Roundings of a component at rest may have a size, as those of sin(x) at 0: the 2-norm has
         # to compare them with those of the others.
         least = D / (_LOOSE * max(self._accuracy, _FINEST))
-        units = self._units(place.w, couplings, sizes, radii, least)
+        units = self._units(w, couplings, sizes, radii, least)
         values = enclosures().tangents(
             self._rows[1],
             self._equation.placed,
-            self.signs,
+            lemma.signs,
             self._equation.dim,
             self._equation.columns,
             self._tables.integral,
-            place.w,
+            w,
             units,
             _ITERATIONS,
         )
-        V = enclosures().product(values, self._tables.series)
-        return Guess(models, D, V, units, factor)
+        return Guess(enclosures().product(values, self._tables.series), units, factor)
 
-    def _collocated(self, place: Place) -> tuple[np.ndarray, np.ndarray]:
+    def accepted(
+        self, guess: Guess, d: np.ndarray, safe: np.ndarray, width: float, shortest: float
+    ) -> float:
+        """Factor of the length of the next window; raise TooLongError if the rest d is large.
+
+        A shorter window has a smaller rest beside the derivative.
+
+        - safe: Sizes of the components, and ``width`` the largest of the set relative to them.
+        """
+        room = _REST * self._accuracy + 0.03 * width
+        share = float((d / safe).max())
+        largest = float((self._lemma.D / guess.units).max())
+        grown = float((d / guess.units).max()) > _GROWTH * largest
+        if share > room and grown and self._lemma.place.w > shortest:
+            raise TooLongError(0.6)
+        return min(guess.factor, 1.0) if share > 0.1 * room else guess.factor
+
+    def _collocated(self, w: float) -> tuple[np.ndarray, np.ndarray]:
         """Sizes of the components and coefficients of y in float64; and DG along y in rows.
 
-        What does not depend on the state is put into the models, and rounded into the rows: a time
-        of many periods has too few digits in float64.
+        What does not depend on the state is rounded into the rows from the models of the lemma: a
+        time of many periods has too few digits in float64.
         """
-        equation, tabs = self._equation, self._tables
+        equation, lemma, tables = self._equation, self._lemma, self._tables
         dim, columns = equation.dim, equation.columns
         rows, more = self._rows
-        signed = place.w * self._direction
-        rows[:dim] = self.centre[:, None]
-        rows[dim:columns] = self.constants[:, None]
-        rows[columns] = place.middle[0] + signed * tabs.points
-        for values, models in ((rows, self._rates), (more, self.jacobian)):
-            models.high[dim:columns, 0] = self.constants
-            models.radius[dim : columns + 1] = 0.0
-            models.set_line(columns, place.middle, place.slope)
-            models.run_still()
-            values[models.program.still_places] = models.still_values()
+        signed = w * self._direction
+        rows[:dim] = lemma.centre[:, None]
+        rows[dim:columns] = lemma.constants[:, None]
+        rows[columns] = lemma.place.middle[0] + signed * tables.points
+        for values, models in ((rows, lemma.rates), (more, lemma.jacobian)):
+            values[models.program.still_places] = still_values(models)
         count = enclosures().collocate(
             equation.rates.steps,
             equation.rates.results,
             rows,
-            tabs.integral,
-            self.centre,
+            tables.integral,
+            lemma.centre,
             signed,
             _ITERATIONS,
         )
@@ -186,38 +173,38 @@ class WindowGuess:
             raise TooLongError(
                 0.5, "the solution leaves every scale there, as at a collision or a jump"
             )
-        return sizes, enclosures().product(rows[:dim], tabs.series)
+        return sizes, enclosures().product(rows[:dim], tables.series)
 
-    def _completed(
-        self, place: Place, y: np.ndarray, units: np.ndarray
-    ) -> tuple[ModelRows, np.ndarray]:
-        """y in twice float64, by linear corrections of its defect, and bounds on the defect."""
-        equation, tabs, models = self._equation, self._tables, self._rates
-        dim = equation.dim
-        models.high[:dim], models.low[:dim] = y, 0.0
-        models.length[:dim] = self._terms
-        models.radius[:dim] = 0.0
-        self.start(models)
-        arguments = (equation.rates.steps, equation.rates.results, models.models, dim, place.slope)
-        series, D = enclosures().defects(*arguments)
+    def _complete(self, w: float, y: np.ndarray, units: np.ndarray) -> None:
+        """Complete y to twice float64 by linear corrections of its defect."""
+        tables, lemma = self._tables, self._lemma
+        series = lemma.bound_defect(*self._from_centre(y, np.zeros_like(y)))
         for _ in range(_CORRECTIONS):
-            before = D
+            before = lemma.D
             found = enclosures().correct(
                 self._rows[1],
-                equation.placed,
-                self.signs,
-                dim,
-                tabs.integral,
-                place.w,
-                -enclosures().product(series[:, : self._terms], tabs.values),
+                self._equation.placed,
+                lemma.signs,
+                self._equation.dim,
+                tables.integral,
+                w,
+                -enclosures().product(series[:, : self._terms], tables.values),
                 units,
                 _ITERATIONS,
             )
-            self._corrected(models, enclosures().product(found, tabs.series))
-            series, D = enclosures().defects(*arguments)
-            if not (0.1 * before > D).any():
+            high, low = lemma.y
+            pair = two_sum(high, low + enclosures().product(found, tables.series))
+            series = lemma.bound_defect(*self._from_centre(*pair))
+            if not (0.1 * before > lemma.D).any():
                 break
-        return models, D
+
+    def _from_centre(self, high: np.ndarray, low: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """y shifted so that y(-1) is the centre."""
+        value, rest, _ = enclosures().end_values(high, low, -1)
+        gap = (self._lemma.centre - value) + (self._lemma.centre_low - rest)
+        total, error = two_sum(high[:, 0], gap)
+        high[:, 0], low[:, 0] = two_sum(total, low[:, 0] + error)
+        return high, low
 
     def _resolved(self, rates: np.ndarray, D: np.ndarray, factor: float) -> float:
         """Factor of the length of the next window; raise TooLongError if the defect is large."""
@@ -254,20 +241,6 @@ class WindowGuess:
         y[:, last + 1 :] = 0.0  # round-off, which the corrections replace
         return tail, factor
 
-    def start(self, models: ModelRows) -> None:
-        """Shift y so that y(-1) is the centre."""
-        high, low = (part[: self._equation.dim] for part in (models.high, models.low))
-        value, rest, _ = enclosures().end_values(high, low, -1)
-        gap = (self.centre - value) + (self.centre_low - rest)
-        total, error = _two_sum(high[:, 0], gap)
-        high[:, 0], low[:, 0] = _two_sum(total, low[:, 0] + error)
-
-    def _corrected(self, models: ModelRows, series: np.ndarray) -> None:
-        dim = self._equation.dim
-        pair = _two_sum(models.high[:dim], models.low[:dim] + series)
-        models.high[:dim], models.low[:dim] = pair
-        self.start(models)
-
     def _couplings(self) -> np.ndarray:
         """Sizes of the entries of DG at the points, shape (dim, dim)."""
         dim = self._equation.dim
@@ -302,39 +275,30 @@ class WindowGuess:
         enclosures().balance(matrix, units)
         return powers_of_two(units)
 
-    def constant_units(self, half: Fraction, units: np.ndarray) -> np.ndarray:
-        """Changes of the constants that move a component by its unit within half a window."""
+    def all_units(self, units: np.ndarray) -> np.ndarray:
+        """Those of the components, and of constants, which move them by them in half a window."""
         dim = self._equation.dim
         shares = np.zeros(self._equation.columns - dim)
         for i, j, place in self._equation.placed:
             if j >= dim:
-                share = float(half) * np.abs(self._rows[1][place]).max() / units[i]
+                share = self._lemma.place.w * np.abs(self._rows[1][place]).max() / units[i]
                 shares[j - dim] = max(shares[j - dim], share)
         found = 1 / shares
-        return np.where((found > 0) & (found < math.inf), found, 1.0)
+        return np.concatenate([units, np.where((found > 0) & (found < math.inf), found, 1.0)])
 
 
-def powers_of_two(units: np.ndarray) -> np.ndarray:
-    """Return powers of two near numbers > 0, by which division is exact.
-
-    Numbers are rounded where none of a formula lies: what differs between processors in the last
-    bits, as eigenvalues do, gives the same powers.
-    """
-    mantissa, exponent = np.frexp(units)
-    return np.ldexp(1.0, (exponent - (mantissa < _THRESHOLD)).clip(-1022, 1023))
+def still_values(models: ModelRows) -> np.ndarray:
+    """Values at the points of what does not depend on the state, rounded, (still, points)."""
+    places, terms = models.program.still_places, models.high.shape[1]
+    used = np.arange(terms) < models.length[places, None]
+    values = np.where(used, models.high[places] + models.low[places], 0.0)
+    return enclosures().product(values, chebyshev_tables(terms).values)
 
 
 def shortened(factor: float) -> float:
     """Return the first sixteen bits, since powers differ between processors in the last ones."""
     mantissa, exponent = math.frexp(factor)
     return math.ldexp(round(mantissa * 2**16), exponent - 16)
-
-
-def _two_sum(a: Any, b: Any) -> tuple[Any, Any]:
-    """a + b rounded, and its error: a low part within half an ulp, as bounds of products need."""
-    total = a + b
-    back = total - a
-    return total, (a - (total - back)) + (b - back)
 
 
 def _sizes_of_all(sizes: np.ndarray, couplings: np.ndarray, w: float) -> np.ndarray:

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from hamsym.numerics.collocation import chebyshev_values
+from hamsym.proof.arithmetic.directed import UNIT
 from hamsym.proof.arithmetic.taylor_models import space_of
 from hamsym.proof.boxes.wide_sets import SetWindow
-from hamsym.proof.public_check import ROOM, UNIT, require_same
+from hamsym.proof.public_check import ROOM, require_same
 from hamsym.proof.windows.trial_models import trial_pieces
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.solution.solution import Solution

@@ -20,6 +20,7 @@ from hamsym.errors import CertificationError
 from hamsym.kernel.enclosures import enclosures
 from hamsym.proof.arithmetic import functions
 from hamsym.proof.arithmetic.balls import number_of
+from hamsym.proof.arithmetic.directed import up
 from hamsym.proof.arithmetic.programs import ModelRows, Program, Recorder, Rows
 from hamsym.random_features.trial import FeatureTrial
 
@@ -131,8 +132,8 @@ class _FeatureWindow:
         )
         rows.high[:dim, 0] = self._state
         rows.high[dim : 3 * dim], rows.low[dim : 3 * dim] = high, low
-        rows.radius[dim : 2 * dim] = (error[:dim] + self._error) * (1 + 1e-9)
-        rows.radius[2 * dim : 3 * dim] = (error[dim:] + self._slope_error) * (1 + 1e-9)
+        rows.radius[dim : 2 * dim] = up(error[:dim] + self._error)
+        rows.radius[2 * dim : 3 * dim] = up(error[dim:] + self._slope_error)
         rows.length[dim : 3 * dim] = length
         rows.set_line(3 * dim, number_of(middle), number_of(share))
         rows.set_number(3 * dim + 1, number_of(1 / self._length))
@@ -198,7 +199,7 @@ def _propagated(
     """N and dN/ds of a network of one input."""
     value = Rows(np.zeros((1, terms)), np.zeros((1, terms)), np.zeros(1), np.array([2]))
     (value.high[0, 0], value.low[0, 0], first), (value.high[0, 1], value.low[0, 1], second) = line
-    value.radius[0] = (first + second) * (1 + 1e-9)
+    value.radius[0] = up(first + second)
     slope = Rows(np.zeros((1, terms)), np.zeros((1, terms)), np.zeros(1), np.array([1]))
     slope.high[0, 0] = 1.0
     for depth, (matrix, bias) in enumerate(layers):

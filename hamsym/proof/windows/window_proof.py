@@ -27,23 +27,24 @@ import numpy as np
 from flint import arb
 
 from hamsym.errors import CertificationError
-from hamsym.kernel.enclosures import TINY, UNIT
-from hamsym.proof.arithmetic.balls import SMALLEST, at_least, at_most, number_of, working
+from hamsym.proof.arithmetic.balls import SMALLEST, above, at_least, at_most, number_of, working
+from hamsym.proof.arithmetic.directed import TINY, UNIT, down, two_sum, up
 from hamsym.proof.arithmetic.programs import BITS, ModelRows, Rows
 from hamsym.proof.limits import Deadline, TimeLimitError
 from hamsym.proof.windows.certificate import FLOOR, Certificate
 from hamsym.proof.windows.equation import Equation, equation_of
-from hamsym.proof.windows.proven_windows import Window, WindowStepper, set_sizes
+from hamsym.proof.windows.proven_windows import WindowStepper
 from hamsym.proof.windows.trial_models import Piece, trial_pieces, zero_components
+from hamsym.proof.windows.window_sets import Window, set_sizes
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.solution.solution import Solution
 
 _TERMS = 64  # of models of z^
-_ROOM, _LESS = 1 + 1e-9, 1 - 1e-9  # for the rounding of sums of numbers >= 0
 # Accuracy of the enclosure, terms of its polynomials and least number of windows of attempts.
 _ATTEMPTS = ((2.0**-70, 32, 8), (2.0**-86, 48, 8))
 _OF_NETWORKS = (2.0**-70, 32, 64)  # which vary in a window of the motion
 _FLOOR_WITHOUT_SOLUTION = 2.0**-70  # floor of quantities that do not involve the exact solution
+_WITHIN = 1 - 1e-6  # of a bound that is asked for: certificates round theirs up to nine digits
 _MOST_SAMPLES = 16_384  # of a window
 _FINE = 0.02  # rtol that every verification tries
 
@@ -128,7 +129,7 @@ class WindowProof:
                 failure = error
                 continue
             if asked is not None:
-                limits, lowers = np.asarray(asked) * (1 - 1e-6), found.lowers[1:-2]
+                limits, lowers = np.asarray(asked) * _WITHIN, found.lowers[1:-2]
                 if (found.uppers[1:-2] <= limits).all() or (lowers > asked).any():
                     return found
             else:
@@ -268,7 +269,7 @@ class _Comparison:
             self._start = (
                 float(found.high[0, 0]),
                 float(found.low[0, 0]),
-                float(found.radius[0] + np.abs(found.high[0, 1:]).sum() * _ROOM),
+                float(up(found.radius[0] + np.abs(found.high[0, 1:]).sum())),
             )
 
     def bounds(
@@ -285,7 +286,7 @@ class _Comparison:
         error, error_radius = _difference(state, y)
         uppers, lowers = np.zeros(dim + 3), np.zeros(dim + 3)
         uppers[: dim + 1], lowers[: dim + 1] = norm_and_parts(
-            error, (error_radius + width) * _ROOM, self._samples
+            error, up(error_radius + width), self._samples
         )
         sizes = np.abs(window.high).sum(axis=1)
         if not whole:
@@ -315,7 +316,7 @@ class _Comparison:
             other = self._energy_of(y, centre, slope)
             slack = self._energy_slack(window, width, centre, slope)
         change, radius = _difference(energy, other)
-        upper, lower = norm_and_parts(change, radius + slack * _ROOM, self._samples)
+        upper, lower = norm_and_parts(change, up(radius + slack), self._samples)
         uppers[-2], lowers[-2] = upper[1], lower[1]
         rates = np.abs(G.high).sum(axis=1)
         half = dim // 2
@@ -351,11 +352,11 @@ class _Comparison:
         rows.set_line(dim, centre, slope)
         rows.run(double=False)
         found = rows.taken(program.results)
-        slopes = (np.abs(found.high).sum(axis=1) + found.radius) * _ROOM
+        slopes = up(np.abs(found.high).sum(axis=1) + found.radius)
         if program is self._equation.rates:
             # J grad H has the slopes in p first, then minus those in q.
             slopes = np.concatenate([slopes[dim // 2 :], slopes[: dim // 2]])
-        return float(slopes @ width) * _ROOM
+        return float(up(slopes @ width) + TINY)
 
 
 def norm_and_parts(
@@ -373,7 +374,7 @@ def norm_and_parts(
     table = _sample_table(samples)
     with np.errstate(all="ignore"):
         values = series @ table[: series.shape[1]]
-        sums = np.abs(series).sum(axis=1) * _ROOM
+        sums = up(np.abs(series).sum(axis=1))
         rounding = sums * (series.shape[1] + 4) * 2 * UNIT + TINY
         largest = np.abs(values).max(axis=1)
         unit = max(float(largest.max()), float(rounding.max()), float(radius.max()))
@@ -384,10 +385,10 @@ def norm_and_parts(
         degree = series.shape[1] - 1
         parts = np.minimum((largest + rounding) * _factor(degree, samples), sums)
         norm = (squares + beside) * math.sqrt(_factor(2 * degree, samples))
-    uppers = np.concatenate([[norm + whole], parts + radius]) * _ROOM
-    sizes = np.concatenate([[squares], largest]) * _LESS
-    errors = np.concatenate([[beside + whole], rounding + radius]) * _ROOM
-    return uppers, np.maximum((sizes - errors) * _LESS, 0.0)
+    uppers = up(np.concatenate([[norm + whole], parts + radius]))
+    sizes = down(np.concatenate([[squares], largest]))
+    errors = up(np.concatenate([[beside + whole], rounding + radius]))
+    return uppers, np.maximum(down(sizes - errors), 0.0)
 
 
 @functools.cache
@@ -404,13 +405,13 @@ def _sample_table(samples: int) -> np.ndarray:
 def _factor(degree: int, samples: int) -> float:
     """An upper bound on 1/cos(degree pi/(2 M))."""
     with working(BITS):
-        return number_of(1 / (arb.pi() * degree / (2 * samples)).cos())[0] * (1 + 1e-12)
+        return above(1 / (arb.pi() * degree / (2 * samples)).cos())
 
 
 def _widths(window: Window) -> np.ndarray:
     """Bounds on |z_i - y_i| over the window."""
     found = window.beside + set_sizes(window.V, window.G, window.R)
-    return np.minimum(found * _ROOM, window.tube)
+    return np.minimum(up(found), window.tube)
 
 
 def _difference(first: Rows, second: Rows) -> tuple[np.ndarray, np.ndarray]:
@@ -425,10 +426,8 @@ def _difference(first: Rows, second: Rows) -> tuple[np.ndarray, np.ndarray]:
     )
     a, x = np.where(used, first.high, 0.0), np.where(used, first.low, 0.0)
     b, c = np.where(other, b, 0.0), np.where(other, c, 0.0)
-    s = a - b
-    t = s - a
-    e = (a - (s - t)) - (b + t)
+    s, e = two_sum(a, -b)
     found = s + (e + (x - c))
     rounding = np.abs(found) + np.abs(e) + np.abs(x) + np.abs(c)
     radius = first.radius + second.radius + 4 * UNIT * rounding.sum(axis=1)
-    return found, radius * _ROOM
+    return found, up(radius)

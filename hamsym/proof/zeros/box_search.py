@@ -24,6 +24,7 @@ from flint import arb, arb_mat
 
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof.arithmetic.balls import working
+from hamsym.proof.arithmetic.directed import next_down, next_up
 from hamsym.proof.arithmetic.functions import BALLS, SingularityError
 from hamsym.proof.arithmetic.generated import GeneratedFunctions
 from hamsym.proof.limits import Deadline
@@ -80,14 +81,14 @@ class Search:
 
 def _ball(low: float, high: float) -> Any:
     middle = low + 0.5 * (high - low)
-    return arb(middle, math.nextafter(max(high - middle, middle - low), math.inf))
+    return arb(middle, float(next_up(max(high - middle, middle - low))))
 
 
 def _ends(ball: Any) -> tuple[float, float]:
     """Floats below and above all numbers of a ball."""
     return (
-        math.nextafter(float(ball.lower()), -math.inf),
-        math.nextafter(float(ball.upper()), math.inf),
+        float(next_down(float(ball.lower()))),
+        float(next_up(float(ball.upper()))),
     )
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import errno
 import io
 import os
-import shlex
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -28,7 +27,7 @@ from hamsym.proof.prove import certify as prove
 from hamsym.proof.prove import verify
 from hamsym.proof.windows.certificate import Certificate
 from hamsym.solution.solution import Solution
-from hamsym.solving.recipe import command_line, omissions, python_lines
+from hamsym.solving.recipe import omissions, python_lines
 from hamsym.support.atomic import write_file
 from hamsym.support.suggestions import checked_keywords
 from hamsym.support.validation import require_positive
@@ -131,7 +130,7 @@ def report(
         code_lines=lines,
         most_lines=_MOST_LINES,
         backend=backend,
-        commands=_commands(found, file, target, proof),
+        again=_again(found, target, proof),
         **_described(found, proof.certificate),
     )
     # A file name may have bytes that are no text, which Python has as lone surrogates.
@@ -230,17 +229,14 @@ def _colored(text: str, language: str) -> Markup:
     return Markup(out.getvalue())
 
 
-_LANGUAGES = {"py": "python", "c": "c", "jl": "julia"}
+_LANGUAGES = {"py": "python", "c": "c", "jl": "julia", "js": "javascript"}
 
 
-def _commands(solution: Solution, file: Path | None, target: Path, proof: contents.Proof) -> Markup:
-    """The commands that make the solution and the report again."""
-    name = "orbit.hamsym" if file is None else file.name
-    commands = [command_line(solution, name)]
-    if proof.certificate is not None:
-        commands.append(shlex.join(["hamsym", "certify", name]))
-    commands.append(shlex.join(["hamsym", "report", name, "-o", target.name]))
-    return _colored("\n".join(commands) + "\n", "bash")
+def _again(solution: Solution, target: Path, proof: contents.Proof) -> Markup:
+    """The lines of Python that make the solution and the report again."""
+    proven = "" if proof.certificate is None else ", certify=True"
+    report_line = f"hamsym.report(solution, {target.name!r}{proven})"
+    return _colored(f"{python_lines(solution)}\n{report_line}\n", "python")
 
 
 def _described(solution: Solution, certificate: Certificate | None) -> dict[str, Any]:
@@ -261,7 +257,6 @@ def _described(solution: Solution, certificate: Certificate | None) -> dict[str,
         "windows": contents.windows(solution),
         "bounds": None if certificate is None else certificate.facts.tables[0].cells(None),
         "digest": contents.solution_digest(solution),
-        "python": _colored(python_lines(solution) + "\n", "python"),
         "omissions": omissions(solution),
         "versions": contents.versions(solution),
     }
