@@ -43,7 +43,7 @@ from hamsym.proof.boxes.tube import Matrix, StepModels, Stepper, kept_bound, siz
 _TINY = 1e-250
 _TRIES = 8
 _ROOM = 1.05  # of a bound on derivatives
-_LARGE = 1e5  # |M| |S| from which M becomes the identity
+_LARGE = 1e7  # |M| |S| from which M becomes the identity
 
 
 @dataclass

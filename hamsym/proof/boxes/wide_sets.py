@@ -55,6 +55,8 @@ _TAIL = 3e-3
 # First step, relative to the span; shortest step, and factors of the next one.
 _FIRST, _SHORTEST = 1e-2, Fraction(1, 2**24)
 _GROWTH, _FULL = 1.3, 0.3
+# Excess of what is added, where parts are not halved, up to which steps grow again.
+_NEAR = 10.0
 # Share of its largest extent so far that a component always has; of others what may reach it.
 _PAST, _COUPLED = 0.1, 1e-6
 # Tail from which a step is not tried; relative round-off; factor of a step by its tail from which
@@ -245,7 +247,9 @@ class WideSet:
                 if (found.errors.bound > found.extent).all(axis=0).any():
                     raise self._refusal(t, reason)
                 window = self._accept(length, found)
-                self._length = _short(longest * Fraction(_GROWTH)) if resolved else longest
+                self._length = longest
+                if resolved and worst < _NEAR:
+                    self._length = _short(longest * Fraction(_GROWTH))
                 return window
             else:
                 self._length = longest = _short(length / 2)
