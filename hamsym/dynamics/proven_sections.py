@@ -43,7 +43,8 @@ from hamsym.proof.arithmetic.ball import Ball
 from hamsym.proof.arithmetic.balls import above, below, working
 from hamsym.proof.arithmetic.functions import BALLS, SingularityError
 from hamsym.proof.arithmetic.generated import GeneratedFunctions, evaluated, require_smooth
-from hamsym.proof.windows.enclose import Enclosure, enclose
+from hamsym.proof.windows.enclose import Enclosure, enclosed
+from hamsym.proof.windows.public_windows import check_enclosure
 from hamsym.support.record_fields import Size, counts
 from hamsym.symbolic.exact import rational
 from hamsym.symbolic.variables import TIME
@@ -337,7 +338,8 @@ class _Path:
         self, H: Hamiltonian, where: Surface, start: Ball, span: tuple[float, float]
     ) -> None:
         balls = [Ball(m, r) for m, r in zip(start.mid.tolist(), start.radius.tolist(), strict=True)]
-        self._enclosure: Enclosure = enclose(H, balls, span)
+        self._enclosure: Enclosure = enclosed(H, balls, span, None, None)
+        check_enclosure(self._enclosure)
         self._span, self._text = span, where.text
         with working(_BITS):
             self._formulas = _Formulas(H, where)

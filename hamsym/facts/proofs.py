@@ -154,6 +154,8 @@ def _enclosure(enclosure: Enclosure) -> Facts:
     ]
     balls = {name: ball_text(own.mid, own.radius) for name, own in enclosure.parameters.items()}
     count = len(enclosure.windows)
+    parts = max(getattr(window, "parts", 0) for window in enclosure.windows)
+    of_set = (Fact("parts", value=parts),) if parts else ()
     return Facts(
         "Enclosure",
         f"the true state at every time of the span, to {error_text(width)} at the end, the widest "
@@ -173,6 +175,7 @@ def _enclosure(enclosure: Enclosure) -> Facts:
             ),
             Fact("width", value=width),
             Fact("windows", value=count),
+            *of_set,
             Fact("seconds", "proven in", enclosure.seconds,
                  f"{seconds_text(enclosure.seconds)} on {count:,} windows"),
         ),

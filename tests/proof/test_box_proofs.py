@@ -213,4 +213,4 @@ def test_unusable_arguments_are_rejected(quartic):
 def test_kinks_are_refused():
     box = checked_box("p**2/2 + abs(x)", {"x": (2, 2.1), "p": 0}, None)
     with pytest.raises(CertificationError, match="'abs'"):
-        Flow(box)
+        Flow(box.H, [])

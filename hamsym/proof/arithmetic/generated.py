@@ -15,6 +15,7 @@ from typing import Any
 
 import sympy
 
+from hamsym.codegen.functions import compile_straight_line
 from hamsym.codegen.generate import generate
 from hamsym.codegen.names import Names
 from hamsym.codegen.straight_line import described, inserted_parameters, without_arithmetic
@@ -22,6 +23,7 @@ from hamsym.codegen.system import load
 from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof.arithmetic.functions import Arithmetic, SingularityError
+from hamsym.symbolic.exact import rational
 
 
 class GeneratedFunctions:
@@ -70,6 +72,45 @@ class GeneratedFunctions:
         for keyword, value in self._values.items():
             varied[keyword] = number(value.numerator, value.denominator)
         return self._functions[name](*state, t, **varied)
+
+
+class ParameterSlopes:
+    """The derivatives of the rates by parameters, in any arithmetic.
+
+    - places: Component and number of the parameter, of those that do not vanish.
+    """
+
+    def __init__(self, H: Hamiltonian, unknown: Sequence[str]) -> None:
+        own = H.real_equations
+        values = {s: value for n, (s, value) in own.parameters.items() if n not in unknown}
+        known = {s: value for s, value in values.items() if value is not None}
+        rates = [own.exact.with_fractions(entry, known) for entry in own.exact.vector_field]
+        found = {
+            (i, k): slope
+            for k, name in enumerate(unknown)
+            for i, rate in enumerate(rates)
+            if (slope := sympy.diff(rate, own.parameters[name][0])) != 0
+        }
+        self.places = list(found)
+        exact = {s: rational(v) for s, v in known.items()}
+        symbols = [
+            *own.z,
+            *(own.parameters[name][0] for name in unknown),
+            own.time or sympy.Dummy("t"),
+        ]
+        entries = [entry.xreplace(exact) for entry in found.values()]
+        self._function = compile_straight_line(entries, symbols) if found else None
+
+    def __call__(
+        self, arithmetic: Arithmetic, state: Sequence[Any], parameters: Sequence[Any], t: Any
+    ) -> list[Any]:
+        """The derivatives, in the order of the places.
+
+        Raise SingularityError if the arguments contain a point where one is not smooth.
+        """
+        if self._function is None:
+            return []
+        return list(evaluated(self._function, arithmetic, *state, *parameters, t))
 
 
 def evaluated(function: Callable[..., Any], *arguments: Any, **keywords: Any) -> Any:

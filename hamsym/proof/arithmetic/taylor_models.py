@@ -21,10 +21,13 @@ import functools
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
 from flint import arb, arb_series
+from scipy.sparse import csr_array
 
 from hamsym.kernel.enclosures import enclosures
 from hamsym.proof.arithmetic.balls import above, working
@@ -70,28 +73,34 @@ class Space:
             for a in range(time_degree + 1)
             if math.hypot(a / time_degree, sum(nu) / degree) <= 1
         ]
+        own.sort(key=lambda term: (sum(term[1:]), term[0]))
         self.exponents = np.array(own)
         self.places = {term: place for place, term in enumerate(own)}
         self.count = len(own)
+        # Whether a product of two terms is left out depends on their degrees (a, |nu|) alone.
+        degrees = np.stack([self.exponents[:, 0], self.exponents[:, 1:].sum(axis=1)], axis=1)
+        kinds, self._starts = np.unique(degrees[:, ::-1], axis=0, return_index=True)
+        kinds = kinds[:, ::-1]
+        sums = kinds[:, None] + kinds[None]
+        inside = np.hypot(sums[..., 0] / time_degree, sums[..., 1] / degree) <= 1
+        self._left_out = 1.0 - inside
+        kind = np.repeat(np.arange(len(kinds)), np.diff([*self._starts, self.count]))
         pairs = []
-        left_out = np.ones((self.count, self.count))
-        counts = np.zeros(self.count, dtype=int)
         for i, term in enumerate(own):
-            sums = [tuple(row) for row in (self.exponents + term).tolist()]
-            known = [
-                (j, self.places[total]) for j, total in enumerate(sums) if total in self.places
-            ]
-            seconds, targets = (np.array(part) for part in zip(*known, strict=True))
+            seconds = np.flatnonzero(inside[kind[i]][kind])
+            sums = (self.exponents[seconds] + term).tolist()
+            targets = np.array([self.places[tuple(row)] for row in sums])
             pairs.append((np.full(len(seconds), i), seconds, targets))
-            left_out[i, seconds] = 0
-            counts[targets] += 1
         self._pairs = [np.concatenate(part) for part in zip(*pairs, strict=True)]
-        self._left_out = left_out
+        counts = np.bincount(self._pairs[2])
         self.most = int(counts.max())
-        self._integral, self._beyond = self._integration()
-        self._ends = {end: self._evaluation(end) for end in (-1, 1)}
-        self._rate = self._differentiation()
-        self.series = self._conversion()
+        self._halves: dict[tuple[int, int], csr_array] = {}
+        self._without_time = np.array([self.places[(0, *nu)] for _, *nu in own])
+        integral, self._beyond = self._integration()
+        self._integral = csr_array(integral)
+        self._ends = {end: csr_array(self._evaluation(end)) for end in (-1, 1)}
+        self._rate = csr_array(self._differentiation())
+        self.series = csr_array(self._conversion())
 
     def _integration(self) -> tuple[np.ndarray, np.ndarray]:
         """The matrix of the integral from tau = -1, and the share that is left out."""
@@ -145,7 +154,7 @@ class Space:
         found = np.zeros(a.shape)
         enclosures().add_products(found, a, b, *self._pairs)
         size, other = np.abs(a), np.abs(b)
-        tail = (size * (self._left_out @ other)).sum(axis=0)
+        tail = (self._by_degrees(size) * (self._left_out @ self._by_degrees(other))).sum(axis=0)
         rounding = 2 * (self.most + 4) * UNIT * first.amount() * second.amount()
         rest = (
             first.radius * (second.size() + second.radius)
@@ -154,6 +163,10 @@ class Space:
             + rounding
         )
         return Model(self, found, sum_up(rest, 2 * self.count))
+
+    def _by_degrees(self, sizes: np.ndarray) -> np.ndarray:
+        """Sums over the terms of equal degrees."""
+        return np.asarray(np.add.reduceat(sizes, self._starts, axis=0))
 
     def integral(self, model: Model) -> Model:
         """The integral over tau from -1."""
@@ -170,11 +183,72 @@ class Space:
         found = self._rate @ model.coefficients
         return Model(self, found, sum_up(2 * UNIT * np.abs(found).sum(axis=0), self.count))
 
+    def parts_of(self, model: Model, parts: Parts) -> Model:
+        """A model without time on parts of its cells."""
+        found = model.coefficients[:, parts.parents]
+        rest = model.radius[parts.parents]
+        rest = rest + 2 * (self.most + 4) * UNIT * model.amount()[parts.parents] * parts.halved
+        for k in range(self.inputs):
+            for side in (-1, 1):
+                chosen = parts.halved & (parts.axes == k) & (parts.sides == side)
+                if chosen.any():
+                    found[:, chosen] = self._half(k, side) @ found[:, chosen]
+        return Model(self, found, np.asarray(sum_up(rest)))
+
+    def _half(self, k: int, side: int) -> csr_array:
+        """The matrix of the substitution of (side + s_k)/2 for s_k; its entries are exact."""
+        if (k, side) not in self._halves:
+            matrix = np.zeros((self.count, self.count))
+            for i, term in enumerate(self.exponents.tolist()):
+                power = term[1 + k]
+                for j in range(power + 1):
+                    lower = (*term[: 1 + k], j, *term[2 + k :])
+                    share = math.comb(power, j) * 0.5**power * side ** (power - j)
+                    matrix[self.places[lower], i] = share
+            self._halves[k, side] = csr_array(matrix)
+        return self._halves[k, side]
+
+    def at(self, model: Model, x: Fraction) -> Model:
+        """The model at tau = x."""
+        powers = np.array([float(x**a) for a in range(self.time_degree + 1)])
+        scaled = model.coefficients * powers[self.exponents[:, 0]][:, None]
+        found = np.zeros_like(scaled)
+        np.add.at(found, self._without_time, scaled)
+        rest = np.abs(scaled).sum(axis=0) * (2 * (self.time_degree + 6) * UNIT)
+        return Model(self, found, sum_up(model.radius + rest, self.count))
+
+    def moved(self, model: Model, start: Model) -> Model:
+        """The polynomial of a model, plus one without time, so that at tau = -1 it is ``start``."""
+        shift = start.coefficients - self._ends[-1] @ model.coefficients
+        return Model(self, model.coefficients + shift, np.zeros_like(model.radius))
+
     def at_end(self, model: Model, end: int) -> Model:
         """The model at tau = -1 or 1."""
         found = self._ends[end] @ model.coefficients
         rest = model.radius + 2 * (self.time_degree + 2) * UNIT * model.amount()
         return Model(self, found, sum_up(rest))
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """Cells that are halved, or go on as they are.
+
+    - parents: The cell of each part.
+    - halved, axes, sides: Whether it is a half; of which input, and the lower one (-1) or not (1).
+    """
+
+    parents: np.ndarray
+    halved: np.ndarray
+    axes: np.ndarray
+    sides: np.ndarray
+
+    @classmethod
+    def halving(cls, wide: np.ndarray, axes: np.ndarray) -> Parts:
+        """Halves of the cells that are too wide, and the others; in the order of the cells."""
+        own = np.repeat(np.arange(len(wide)), 1 + wide)
+        sides = np.ones(len(own), dtype=int)
+        sides[np.flatnonzero(np.diff(own, append=-1) == 0)] = -1
+        return cls(own, wide[own], axes[own], sides)
 
 
 class Model:
@@ -204,6 +278,13 @@ class Model:
             rounding = 2 * (space.count + 4) * UNIT * self.amount()
             self._size = np.minimum(sum_up(series + rounding, space.count), self.amount())
         return self._size
+
+    def range(self) -> tuple[np.ndarray, np.ndarray]:
+        """The middle and the radius of a ball around the values, for each cell."""
+        series = self.space.series @ self.coefficients
+        rest = np.abs(series[1:]).sum(axis=0) + self.radius
+        rest = rest + 2 * (self.space.count + 4) * UNIT * self.amount()
+        return series[0], sum_up(rest, self.space.count)
 
     def largest(self) -> np.ndarray:
         """A bound on |f| for each cell."""

@@ -177,7 +177,8 @@ class _Proof:
 
     def __init__(self, flow: FlowMap, deadline: Deadline, most: int) -> None:
         self._map, self._region, self._deadline, self._most = flow, flow.region, deadline, most
-        self._flow = Flow(flow.region)
+        H = flow.H
+        self._flow = Flow(H, [name for name in flow.region.parameters if name in H.parameter_names])
         d = len(flow.inputs)
         self._space = space_of(d, *_DEGREES.get(d, _MANY_INPUTS))
         self._stepper = Stepper(self._flow, self._space)
@@ -387,7 +388,7 @@ class _Walk:
             return None
 
     def accept(self, models: StepModels) -> None:
-        self._matrices = models.matrices
+        self._matrices = models.fundamental_at_end()
         self._last = [self._proof._space.at_end(model, 1) for model in models.states]
 
     def axes(self, models: StepModels) -> np.ndarray:

@@ -11,16 +11,16 @@ so that the bounds do not grow by wrapping.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import sympy
-from numpy.polynomial import chebyshev
 
 from hamsym.errors import CertificationError
-from hamsym.flow_maps.box import Box
+from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof.arithmetic.balls import ball, working
 from hamsym.proof.arithmetic.directed import sum_up
 from hamsym.proof.arithmetic.functions import SingularityError
@@ -34,40 +34,43 @@ from hamsym.proof.arithmetic.taylor_models import (
     total,
 )
 from hamsym.proof.boxes.map_models import Step
+from hamsym.proof.boxes.nodes import Nodes
 
 _TIMES = 10  # nodes of a step for the fundamental matrix, without its start
-_FIT = {1: 8, 2: 5, 3: 3}  # degree of the fundamental matrix in the inputs, by their number
 _ROOM = 1.02  # of a tube
 _WIDER = 4.0  # tube over which second derivatives are bounded
 _TRIES = 12
 _SMALLEST = 1e-250
 
 
+Matrix = list[list[Model]]
+
+
 class Flow:
     """H with its derivatives as models, of models of z, t and the parameters that vary."""
 
-    def __init__(self, box: Box) -> None:
-        H = box.H
+    def __init__(self, H: Hamiltonian, varied: Sequence[str]) -> None:
         if H.real_equations.has(sympy.atan2):
             raise CertificationError(
                 "H contains 'atan2', of which there are no Taylor models; a proof over a box needs "
                 "H without it"
             )
         self.dim, self.dof, self.forced = H.dim, H.dof, bool(H.forces)
-        self.parameters = [name for name in box.parameters if name in H.parameter_names]
+        self.parameters = list(varied)
         self._functions = GeneratedFunctions(H, MODELS, self.parameters)
+        self.keywords = self._functions.keywords
 
     def energy(self, arguments: list[Model]) -> Model:
-        return self._model(self._evaluated("energy", arguments), arguments)
+        return self.as_model(self._evaluated("energy", arguments), arguments)
 
     def field(self, arguments: list[Model]) -> list[Model]:
         """F."""
         values = self._evaluated("vector_field", arguments)
-        return [self._model(value, arguments) for value in values]
+        return [self.as_model(value, arguments) for value in values]
 
     def _tensor(self, name: str, arguments: list[Model]) -> dict[tuple[int, ...], Model]:
         entries = self._evaluated(name, arguments)
-        return {index: self._model(value, arguments) for index, value in entries.items()}
+        return {index: self.as_model(value, arguments) for index, value in entries.items()}
 
     def _evaluated(self, name: str, arguments: list[Model]) -> Any:
         state, t, varied = arguments[: self.dim], arguments[self.dim], arguments[self.dim + 1 :]
@@ -76,7 +79,7 @@ class Flow:
             return self._functions(name, state, t, **keywords)
 
     @staticmethod
-    def _model(value: Any, arguments: list[Model]) -> Model:
+    def as_model(value: Any, arguments: list[Model]) -> Model:
         """A value that may be a ball as a model."""
         if isinstance(value, Model):
             return value
@@ -121,39 +124,6 @@ class Flow:
         return found
 
 
-class _Nodes:
-    """Points of a cell and a step at which M is found, and the fit of polynomials to values."""
-
-    def __init__(self, space: Space) -> None:
-        degree = _FIT.get(space.inputs, 2)
-        self.times = -np.cos(np.pi * np.arange(_TIMES + 1) / _TIMES)
-        line = chebyshev.chebpts1(degree + 1)
-        grids = np.meshgrid(*[line] * space.inputs, indexing="ij")
-        inputs = np.stack([grid.ravel() for grid in grids], axis=-1)
-        self.count = len(inputs)
-        points = np.concatenate(
-            [np.tile(self.times, self.count)[:, None], np.repeat(inputs, _TIMES + 1, axis=0)],
-            axis=1,
-        )
-        # Values of all terms at all points, (inputs, times) in this order.
-        self.values = np.prod(points[:, None, :] ** space.exponents[None], axis=-1)
-        chosen = (space.exponents[:, 0] < _TIMES) & (space.exponents[:, 1:].sum(axis=1) <= degree)
-        self._places = np.flatnonzero(chosen)
-        self._fit = np.linalg.pinv(self.values[:, self._places])
-        self._space = space
-        series = chebyshev.chebvander(self.times, _TIMES)
-        slopes = chebyshev.chebvander(self.times, _TIMES - 1) @ chebyshev.chebder(
-            np.eye(_TIMES + 1)
-        )
-        self.rates = slopes @ np.linalg.inv(series)
-
-    def model(self, values: np.ndarray) -> Model:
-        """A polynomial near values of shape (cells, points); it is exact, its values are not."""
-        found = np.zeros((self._space.count, len(values)))
-        found[self._places] = self._fit @ values.T
-        return Model(self._space, found, np.zeros(len(values)))
-
-
 @dataclass
 class StepModels:
     """What a step of the proof needs, without the bounds on the error so far."""
@@ -164,14 +134,17 @@ class StepModels:
     states: list[Model]
     defect: list[Model]
     #: fundamental, adjoint: M and S.
-    fundamental: list[list[Model]]
-    adjoint: list[list[Model]]
-    #: M at the nodes at the end of the step.
-    matrices: np.ndarray
+    fundamental: Matrix
+    adjoint: Matrix
     #: Bounds on the entries of S' + S A, shape (dim, dim, cells).
     mismatch: np.ndarray
     #: Bounds on the entries of 1 - M S.
     rest: np.ndarray
+
+    def fundamental_at_end(self) -> Matrix:
+        """M where the step ends, a polynomial."""
+        space = self.states[0].space
+        return [[space.at_end(entry, 1).polynomial() for entry in row] for row in self.fundamental]
 
     @cached_property
     def forced(self) -> list[Model]:
@@ -196,12 +169,15 @@ class Stepper:
     """Models on steps of the time."""
 
     def __init__(self, flow: Flow, space: Space) -> None:
-        self.flow, self.space, self._nodes = flow, space, _Nodes(space)
+        self.flow, self.space = flow, space
+        self.nodes = Nodes(space, _TIMES, space.degree - 1)
 
-    def first(self, cells: int) -> np.ndarray:
-        """M at the nodes at the start of the map."""
-        dim = self.flow.dim
-        return np.tile(np.eye(dim), (cells, self._nodes.count, 1, 1))
+    def first(self, cells: int) -> Matrix:
+        """M at the start of the map."""
+        return [
+            [self.space.constant(np.full(cells, entry)) for entry in row]
+            for row in np.eye(self.flow.dim).tolist()
+        ]
 
     def models(
         self,
@@ -210,9 +186,9 @@ class Stepper:
         rates: list[Model],
         clock: Model,
         parameters: list[Model],
-        matrices: np.ndarray,
+        before: Matrix,
     ) -> StepModels:
-        """The models of a step from z^ and dz^/dtau.
+        """The models of a step from z^ and dz^/dtau, and from M where the step begins.
 
         Raise SingularityError if H is not smooth on a part of the step in every cell.
         """
@@ -227,9 +203,12 @@ class Stepper:
             for rate, value in zip(rates, field, strict=True)
         ]
         jacobian = flow.jacobian(arguments)
-        found = self._fundamental(jacobian, half, matrices)
+        found = self._fundamental(jacobian, half, before)
         dim = flow.dim
-        fundamental = self._fitted(found)
+        fundamental = [
+            [space.moved(entry, start) for entry, start in zip(row, starts, strict=True)]
+            for row, starts in zip(self._fitted(found), before, strict=True)
+        ]
         if flow.forced:
             try:
                 inverses = np.linalg.inv(found)
@@ -250,16 +229,16 @@ class Stepper:
                 mismatch[i, j] = total(terms).largest()
                 product = total([fundamental[i][k] * adjoint[k][j] for k in range(dim)])
                 rest[i, j] = product.plus(-1.0 if i == j else 0.0).largest()
-        end = found[:, :, -1]
-        return StepModels(
-            step, arguments, states, defect, fundamental, adjoint, end, mismatch, rest
-        )
+        return StepModels(step, arguments, states, defect, fundamental, adjoint, mismatch, rest)
 
     def _fitted(self, values: np.ndarray) -> list[list[Model]]:
         """Models of matrices at the nodes."""
         count, dim = len(values), values.shape[-1]
         return [
-            [self._nodes.model(values[:, :, :, i, j].reshape(count, -1)) for j in range(dim)]
+            [
+                Model(self.space, self.nodes.polynomial(values[..., i, j]), np.zeros(count))
+                for j in range(dim)
+            ]
             for i in range(dim)
         ]
 
@@ -277,17 +256,18 @@ class Stepper:
         ]
 
     def _fundamental(
-        self, jacobian: list[list[Model | None]], half: float, matrices: np.ndarray
+        self, jacobian: list[list[Model | None]], half: float, before: Matrix
     ) -> np.ndarray:
         """M at the nodes, by collocation, shape (cells, inputs, times, dim, dim)."""
-        dim, nodes = self.flow.dim, self._nodes
+        dim, nodes = self.flow.dim, self.nodes
+        starts = [[nodes.start_values(entry.coefficients) for entry in row] for row in before]
+        matrices = np.moveaxis(np.array(starts), (0, 1), (2, 3))
         cells = len(matrices)
         A = np.zeros((cells, nodes.count, _TIMES + 1, dim, dim))
         for i, row in enumerate(jacobian):
             for j, entry in enumerate(row):
                 if entry is not None:
-                    values = nodes.values @ entry.coefficients
-                    A[..., i, j] = values.T.reshape(cells, nodes.count, _TIMES + 1)
+                    A[..., i, j] = nodes.values(entry.coefficients)
         A = np.where(np.isfinite(A), A, 0.0)
         D = nodes.rates
         system = np.broadcast_to(
@@ -343,40 +323,48 @@ class Tube:
             w.append(self._w[i] + space.integral(models.forced[i]).times(*half))
         main = [total([models.fundamental[i][j] * w[j] for j in range(dim)]) for i in range(dim)]
         linear = np.array([entry.largest() for entry in main])
-        bound, left = self._closed(models, linear)
+        bound, left, _ = kept_bound(self._flow, models, linear)
         self.bound = np.where(np.isfinite(bound), np.maximum(self.bound, bound), np.inf)
         self.sharp = np.maximum(self.sharp, [entry.polynomial().largest() for entry in main])
         self._present = bound
         self._w = [space.at_end(w[i], 1).widened(left[i]) for i in range(dim)]
         self._last = [[space.at_end(entry, 1) for entry in row] for row in models.adjoint]
 
-    def _closed(self, models: StepModels, linear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """D with the right-hand side below D, and the bound on the rest of w; else infinity."""
-        M, S = sizes(models.fundamental), sizes(models.adjoint)
-        dim = self._flow.dim
-        D = _ROOM * linear + _SMALLEST
-        bound, rest = np.full_like(linear, np.inf), np.full_like(linear, np.inf)
-        limit = np.zeros_like(D)
-        curvature = np.zeros((dim, dim, dim, linear.shape[1]))
-        for _ in range(_TRIES):
-            wider = ~(limit >= D).all(axis=0)
-            if wider.any():
-                limit = np.where(wider, _WIDER * D, limit)
-                widened = [s.widened(r) for s, r in zip(models.states, limit, strict=True)]
-                try:
-                    curvature = self._flow.curvature([*widened, *models.arguments[dim:]])
-                except SingularityError:
-                    break
-            q = sum_up(np.einsum("ijkc,jc,kc->ic", curvature, D, D) / 2, dim * dim)
-            inside = np.einsum("ijc,jc->ic", models.mismatch, D) + np.einsum("ijc,jc->ic", S, q)
-            x = sum_up(models.length * sum_up(inside, 2 * dim))
-            found = sum_up(
-                linear + np.einsum("ijc,jc->ic", M, x) + np.einsum("ijc,jc->ic", models.rest, D),
-                2 * dim,
-            )
-            done = (found < D).all(axis=0) & (limit >= D).all(axis=0)
-            bound, rest = np.where(done, found, bound), np.where(done, x, rest)
-            D = np.where(done, D, np.maximum(_ROOM * found + _SMALLEST, D))
-            if np.isfinite(bound).all():
+
+def kept_bound(
+    flow: Flow, models: StepModels, linear: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """D with the right-hand side below D, the bound on the rest of w, and second derivatives.
+
+    Infinite where there is none.
+
+    - linear: Bounds on \\|M (w_0 + W)\\|, shape (dim, cells).
+    """
+    M, S = sizes(models.fundamental), sizes(models.adjoint)
+    dim = flow.dim
+    D = _ROOM * linear + _SMALLEST
+    bound, rest = np.full_like(linear, np.inf), np.full_like(linear, np.inf)
+    limit = np.zeros_like(D)
+    curvature = np.zeros((dim, dim, dim, linear.shape[1]))
+    for _ in range(_TRIES):
+        wider = ~(limit >= D).all(axis=0)
+        if wider.any():
+            limit = np.where(wider, _WIDER * D, limit)
+            widened = [s.widened(r) for s, r in zip(models.states, limit, strict=True)]
+            try:
+                curvature = flow.curvature([*widened, *models.arguments[dim:]])
+            except SingularityError:
                 break
-        return bound, rest
+        q = sum_up(np.einsum("ijkc,jc,kc->ic", curvature, D, D) / 2, dim * dim)
+        inside = np.einsum("ijc,jc->ic", models.mismatch, D) + np.einsum("ijc,jc->ic", S, q)
+        x = sum_up(models.length * sum_up(inside, 2 * dim))
+        found = sum_up(
+            linear + np.einsum("ijc,jc->ic", M, x) + np.einsum("ijc,jc->ic", models.rest, D),
+            2 * dim,
+        )
+        done = (found < D).all(axis=0) & (limit >= D).all(axis=0)
+        bound, rest = np.where(done, found, bound), np.where(done, x, rest)
+        D = np.where(done, D, np.maximum(_ROOM * found + _SMALLEST, D))
+        if np.isfinite(bound).all():
+            break
+    return bound, rest, curvature

@@ -8,7 +8,7 @@ from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -20,16 +20,19 @@ from hamsym.proof.arithmetic.ball import Ball
 from hamsym.proof.arithmetic.balls import number_of
 from hamsym.proof.arithmetic.directed import up
 from hamsym.proof.arithmetic.float64_arithmetic import require_float64
-from hamsym.proof.limits import Deadline
+from hamsym.proof.boxes.wide_sets import SetWindow, WideSet
+from hamsym.proof.limits import Deadline, TimeLimitError
 from hamsym.proof.windows.equation import equation_of
 from hamsym.proof.windows.proven_windows import WindowStepper
 from hamsym.proof.windows.public_windows import check_enclosure
 from hamsym.proof.windows.window_sets import ErrorSet, Window
 from hamsym.solution.times import times_in_span
-from hamsym.support.record_fields import UNSAVED, Size
+from hamsym.support.record_fields import UNSAVED, OneOf, Size
 from hamsym.support.shown import Drawn, Saved
 from hamsym.support.suggestions import checked_keywords, did_you_mean, suggest_attributes
+from hamsym.support.validation import require_whole
 
+_WINDOWS = OneOf(window=Window, set=SetWindow)
 # Accuracies of the polynomials, relative to the components, and their terms; the cheaper first.
 _ACCURACIES = ((2.0**-70, 32), (2.0**-86, 48))
 
@@ -42,12 +45,15 @@ def enclose(
     *,
     parameters: Mapping[str, Any] | None = None,
     time_limit: float | None = None,
+    max_parts: int = 16,
 ) -> Enclosure:
     """Enclose the exact solution of Hamilton's equations, rigorously.
 
     The result contains the true state at every time of the span, for every choice of the initial
     state and of the parameters in the balls that were given, and its derivatives by both. Every
-    rounding is covered. The page "How the proofs work" of the documentation has the lemmas.
+    rounding is covered. The page "How the proofs work" of the documentation has the lemmas. Sets
+    that become too wide for windows are carried as polynomials in the starts and parameters, in
+    parts.
 
     Parameters
     ----------
@@ -63,6 +69,9 @@ def enclose(
         Parameters of H that are known up to a radius.
     time_limit : float, optional
         Seconds.
+    max_parts : int
+        Largest number of parts at once into which a wide set is cut where one polynomial does not
+        follow it. Run time grows with the number that is needed.
 
     Returns
     -------
@@ -89,7 +98,16 @@ def enclose(
     >>> bool(enclosure(2.0).width < 1e-2)
     True
     """
-    found = enclosed(H, z0, span, parameters, time_limit)
+    require_whole("max_parts", max_parts, 1)
+    problem = _Problem.checked(H, z0, span, parameters, time_limit)
+    try:
+        found = problem.by_windows()
+    except TimeLimitError:
+        raise
+    except CertificationError as failure:
+        if not problem.radii.any():
+            raise
+        found = problem.in_parts(max_parts, failure)
     check_enclosure(found)
     return found
 
@@ -101,52 +119,112 @@ def enclosed(
     parameters: Mapping[str, Any] | None,
     time_limit: float | None,
 ) -> Enclosure:
-    """The enclosure of :func:`enclose`, whose evaluation is not checked."""
-    H = Hamiltonian.of(H)
-    balls = _parameter_balls(H, parameters)
-    names = list(balls)
-    if balls:
-        H = H.with_parameters(**{name: ball.mid for name, ball in balls.items()})
-    start = initial_balls(H, z0)
-    for ball in (*start, *balls.values()):
-        if not math.isfinite(ball.radius):
-            raise InputError("a ball has an infinite radius; give a finite one")
-    # H must be finite at the start: its derivatives may be so where it is not real.
-    problem = InitialValueProblem.checked(H, [ball.mid for ball in start], span)
-    times = problem.span
-    began, deadline = time.monotonic(), Deadline.after(time_limit)
-    require_float64()
-    equation = equation_of(H, tuple(names))
-    every = [*start, *(balls[name] for name in names)]
-    begin, end = (Fraction(value) for value in times)
-    windows: list[Window] = []
-    failure = None
-    for accuracy, terms in _ACCURACIES:
-        stepper = WindowStepper(
-            equation,
-            begin,
-            1 if end > begin else -1,
-            abs(end - begin),
-            np.array([ball.mid for ball in every]),
-            np.array([ball.radius for ball in every]),
-            accuracy,
-            deadline,
-            terms,
-        )
-        windows.clear()
+    """The enclosure of :func:`enclose` on windows, whose evaluation is not checked."""
+    return _Problem.checked(H, z0, span, parameters, time_limit).by_windows()
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Checked arguments of :func:`enclose`."""
+
+    H: Hamiltonian
+    start: list[Ball]
+    balls: dict[str, Ball]
+    span: tuple[float, float]
+    deadline: Deadline
+    began: float
+
+    @classmethod
+    def checked(
+        cls,
+        H: HamiltonianLike,
+        z0: Any,
+        span: tuple[float, float],
+        parameters: Mapping[str, Any] | None,
+        time_limit: float | None,
+    ) -> _Problem:
+        """Check the arguments; raise InputError."""
+        H = Hamiltonian.of(H)
+        balls = _parameter_balls(H, parameters)
+        if balls:
+            H = H.with_parameters(**{name: ball.mid for name, ball in balls.items()})
+        start = initial_balls(H, z0)
+        for ball in (*start, *balls.values()):
+            if not math.isfinite(ball.radius):
+                raise InputError("a ball has an infinite radius; give a finite one")
+        # H must be finite at the start: its derivatives may be so where it is not real.
+        problem = InitialValueProblem.checked(H, [ball.mid for ball in start], span)
+        began, deadline = time.monotonic(), Deadline.after(time_limit)
+        require_float64()
+        return cls(H, start, balls, problem.span, deadline, began)
+
+    @property
+    def centre(self) -> np.ndarray:
+        return np.array([ball.mid for ball in (*self.start, *self.balls.values())])
+
+    @property
+    def radii(self) -> np.ndarray:
+        return np.array([ball.radius for ball in (*self.start, *self.balls.values())])
+
+    @property
+    def _course(self) -> tuple[Fraction, int, Fraction]:
+        """Start, direction and length of the span."""
+        begin, end = (Fraction(value) for value in self.span)
+        return begin, 1 if end > begin else -1, abs(end - begin)
+
+    def by_windows(self) -> Enclosure:
+        """Enclose a set that derivatives carry."""
+        equation = equation_of(self.H, tuple(self.balls))
+        begin, direction, length = self._course
+        windows: list[Window | SetWindow] = []
+        failure = None
+        for accuracy, terms in _ACCURACIES:
+            stepper = WindowStepper(
+                equation,
+                begin,
+                direction,
+                length,
+                self.centre,
+                self.radii,
+                accuracy,
+                self.deadline,
+                terms,
+            )
+            windows.clear()
+            try:
+                while stepper.elapsed < stepper.total:
+                    windows.append(stepper.step(stepper.total))
+                break
+            except CertificationError as error:
+                if self.deadline.exceeded:
+                    raise
+                failure = error
+        else:
+            assert failure is not None
+            raise failure
+        return self._enclosure(windows)
+
+    def in_parts(self, most: int, failure: CertificationError | None = None) -> Enclosure:
+        """Enclose a set that polynomials carry, in parts.
+
+        Raise ``failure`` if there are no polynomials for this H.
+        """
+        names, course, deadline = list(self.balls), self._course, self.deadline
         try:
-            while stepper.elapsed < stepper.total:
-                windows.append(stepper.step(stepper.total))
-            break
-        except CertificationError as error:
-            if deadline.exceeded:
-                raise
-            failure = error
-    else:
-        assert failure is not None
-        raise failure
-    z0_ball = Ball(np.array([b.mid for b in start]), np.array([b.radius for b in start]))
-    return Enclosure(H, z0_ball, times, balls, tuple(windows), time.monotonic() - began)
+            stepper = WideSet(self.H, names, *course, self.centre, self.radii, deadline, most)
+        except CertificationError as refusal:
+            raise failure or refusal from None
+        windows: list[Window | SetWindow] = []
+        while stepper.elapsed < stepper.total:
+            windows.append(stepper.step())
+        return self._enclosure(windows)
+
+    def _enclosure(self, windows: Sequence[Window | SetWindow]) -> Enclosure:
+        middle, radius = np.split(np.stack([self.centre, self.radii]), [self.H.dim], axis=1)[0]
+        seconds = time.monotonic() - self.began
+        return Enclosure(
+            self.H, Ball(middle, radius), self.span, self.balls, tuple(windows), seconds
+        )
 
 
 def _parameter_balls(H: Hamiltonian, parameters: Any) -> dict[str, Ball]:
@@ -202,7 +280,8 @@ class Enclosure(Drawn, Saved):
     span : (float, float)
     parameters : dict of str to Ball
         The parameters that are balls.
-    windows : tuple of Window
+    windows : tuple of Window or SetWindow
+        The steps of the time; of wide sets, with all parts.
     seconds : float
         Run time.
     """
@@ -211,7 +290,7 @@ class Enclosure(Drawn, Saved):
     z0: Ball
     span: tuple[float, float]
     parameters: dict[str, Ball]
-    windows: tuple[Window, ...]
+    windows: tuple[Annotated[Window | SetWindow, _WINDOWS], ...]
     seconds: Size
     _derivatives: list[tuple[np.ndarray, ErrorSet]] = field(default_factory=list, metadata=UNSAVED)
 
@@ -223,8 +302,10 @@ class Enclosure(Drawn, Saved):
             raise ValueError("a parameter is a ball that H does not have")
         columns, place = self.H.dim + len(self.parameters), Fraction(0)
         for window in self.windows:
-            if window.start != place or not window.half > 0 or len(window.units) != columns:
+            if window.start != place or not window.half > 0 or window.columns != columns:
                 raise ValueError("its windows do not follow each other")
+            if isinstance(window, SetWindow):
+                window.check()
             place = window.end
         if place != abs(Fraction(self.span[1]) - Fraction(self.span[0])) or not place:
             raise ValueError("its windows do not end with its span")
@@ -303,26 +384,35 @@ class Enclosure(Drawn, Saved):
         radius = np.array([entry[1] for entry in found]).reshape(*np.shape(times), *shape)
         return Ball(middle, radius)
 
-    def _place(self, t: float) -> tuple[int, np.ndarray]:
-        """The window of a time and balls of the Chebyshev polynomials there."""
+    def _place(self, t: float) -> tuple[int, Any]:
+        """The window of a time, and balls of the Chebyshev polynomials there.
+
+        For wide sets the place from -1 to 1.
+        """
         direction = 1 if self.span[1] > self.span[0] else -1
         elapsed = (Fraction(t) - Fraction(self.span[0])) * direction
         k = bisect_right(self.windows, elapsed, key=lambda window: window.start) - 1
         window = self.windows[k]
         x = (elapsed - window.start) / window.half - 1
+        if isinstance(window, SetWindow):
+            return k, x
         return k, enclosures().chebyshev_balls(number_of(x), window.high.shape[1])
 
-    def _state(self, k: int, basis: np.ndarray) -> list[np.ndarray]:
+    def _state(self, k: int, basis: Any) -> Sequence[np.ndarray]:
         window, dim = self.windows[k], self.H.dim
+        if isinstance(window, SetWindow):
+            return window.state(basis)
         value = enclosures().vector_value(window.high, window.low, basis)
         matrix, error = enclosures().matrix_value(window.V, basis)
         radius = enclosures().set_radius(matrix, error, window.G, window.R[:, None])[:dim, 0]
         radius = radius + window.beside + np.abs(value[:, 1]) + value[:, 2]
         return [value[:, 0], up(radius)]
 
-    def _slopes(self, k: int, basis: np.ndarray) -> list[np.ndarray]:
+    def _slopes(self, k: int, basis: Any) -> Sequence[np.ndarray]:
         """dz/d(z0, k): the derivative of the window times that of the windows before."""
         window = self.windows[k]
+        if isinstance(window, SetWindow):
+            return window.slopes(basis)
         middle, rest = self._derivative_before(k)
         matrix, error = enclosures().matrix_value(window.V, basis)
         error = error + window.derivative
@@ -335,10 +425,11 @@ class Enclosure(Drawn, Saved):
         """dz/d(z0, k) at the start of window k: a matrix and the set of its errors."""
         known = list(self._derivatives)  # another thread may compute them too
         if not known:
-            columns = len(self.windows[0].J)
+            columns = self.windows[0].columns
             known.append((np.eye(columns), ErrorSet.of_radii(np.zeros((columns, columns)))))
         while len(known) <= k:
             window = self.windows[len(known) - 1]
+            assert isinstance(window, Window)
             middle, rest = known[-1]
             error = window.J_error.copy()
             error[: self.H.dim] += window.derivative

@@ -9,12 +9,10 @@ from typing import Any
 import numpy as np
 import sympy
 
-from hamsym.codegen.functions import compile_straight_line
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof.arithmetic.balls import working
-from hamsym.proof.arithmetic.generated import GeneratedFunctions, evaluated
+from hamsym.proof.arithmetic.generated import GeneratedFunctions, ParameterSlopes
 from hamsym.proof.arithmetic.programs import BITS, Program, Recorder
-from hamsym.symbolic.exact import rational
 
 
 class Equation:
@@ -86,27 +84,11 @@ class Equation:
 
     def _by_parameters(self, recorder: Recorder) -> dict[tuple[int, ...], Any]:
         """The derivatives of the rates by the unknown parameters."""
-        own = self._H.real_equations
-        values = {s: value for n, (s, value) in own.parameters.items() if n not in self._unknown}
-        known = {s: value for s, value in values.items() if value is not None}
-        rates = [own.exact.with_fractions(entry, known) for entry in own.exact.vector_field]
-        found = {
-            (i, self.dim + k): slope
-            for k, name in enumerate(self._unknown)
-            for i, rate in enumerate(rates)
-            if (slope := sympy.diff(rate, own.parameters[name][0])) != 0
-        }
-        if not found:
-            return {}
-        exact = {s: rational(v) for s, v in known.items()}
-        symbols = [
-            *own.z,
-            *(own.parameters[name][0] for name in self._unknown),
-            own.time or sympy.Dummy("t"),
-        ]
-        function = compile_straight_line([e.xreplace(exact) for e in found.values()], symbols)
-        results = evaluated(function, recorder.arithmetic, *recorder.variables)
-        return dict(zip(found, results, strict=True))
+        slopes = ParameterSlopes(self._H, self._unknown)
+        *state, time = recorder.variables
+        found = slopes(recorder.arithmetic, state[: self.dim], state[self.dim :], time)
+        places = [(i, self.dim + k) for i, k in slopes.places]
+        return dict(zip(places, found, strict=True))
 
 
 @functools.lru_cache(maxsize=64)

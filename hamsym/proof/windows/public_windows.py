@@ -11,6 +11,8 @@ import numpy as np
 
 from hamsym.numerics.collocation import chebyshev_values
 from hamsym.proof.arithmetic.directed import UNIT
+from hamsym.proof.arithmetic.taylor_models import space_of
+from hamsym.proof.boxes.wide_sets import SetWindow
 from hamsym.proof.public_check import ROOM, require_same
 from hamsym.proof.windows.trial_models import trial_pieces
 from hamsym.random_features.trial import FeatureTrial
@@ -114,6 +116,9 @@ def check_enclosure(enclosure: Any) -> None:
     begin, end = (Fraction(value) for value in enclosure.span)
     direction = 1 if end > begin else -1
     times = _times(enclosure.windows, begin, abs(end - begin), direction)
+    if isinstance(enclosure.windows[0], SetWindow):
+        _check_set(enclosure, times, begin, direction)
+        return
     places = []
     for n, t in enumerate(times.tolist()):
         elapsed = direction * (Fraction(t) - begin)
@@ -136,4 +141,27 @@ def check_enclosure(enclosure: Any) -> None:
     radius = np.asarray(balls.radius)
     # A radius that is too small differs as a middle that is not a number.
     middle = np.where((radius >= radii.min(axis=0)).all(axis=1)[:, None], balls.mid, np.nan)
+    require_same("enclosure", enclosure.H.names, middle, found, allowed, _at(times))
+
+
+def _check_set(enclosure: Any, times: np.ndarray, begin: Fraction, direction: int) -> None:
+    """Require that balls contain values of the polynomials of a wide set, at random inputs."""
+    random, balls = np.random.default_rng(len(times)), enclosure(times)
+    found = np.full((1, len(times), enclosure.H.dim), np.nan)
+    allowed = np.zeros_like(found)
+    middle = np.array(balls.mid)
+    for n, t in enumerate(times.tolist()):
+        elapsed = direction * (Fraction(t) - begin)
+        last = bisect_right(enclosure.windows, elapsed, key=lambda window: window.start) - 1
+        window = enclosure.windows[last]
+        x = float((elapsed - window.start) / window.half - 1)
+        exponents = space_of(window.inputs, window.time_degree, window.degree).exponents
+        part = int(random.integers(window.parts))
+        place = np.array([x, *random.choice([-1.0, 1.0, 0.5, 0.0], window.inputs)])
+        terms = window.polynomials[:, :, part] * np.prod(place**exponents, axis=1)
+        found[0, n] = terms.sum(axis=1)
+        radius = balls.radius[n] - window.bound[:, part]
+        middle[n] = np.where(radius >= 0, middle[n], np.nan)
+        rounding = ROOM * UNIT * (len(exponents) + 2 * exponents.max()) * np.abs(terms).sum(axis=1)
+        allowed[0, n] = np.maximum(radius, 0.0) + rounding
     require_same("enclosure", enclosure.H.names, middle, found, allowed, _at(times))

@@ -128,5 +128,9 @@ class Window:
     units: Annotated[np.ndarray, floats("columns", least=0)]
 
     @property
+    def columns(self) -> int:
+        return len(self.units)
+
+    @property
     def end(self) -> Fraction:
         return self.start + 2 * self.half

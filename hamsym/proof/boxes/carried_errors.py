@@ -1,0 +1,315 @@
+"""Errors of the polynomials of wide sets, and derivatives of the solutions, from step to step.
+
+With z^, M, S, A, r and D of :mod:`hamsym.proof.boxes.tube`, a column Y, which is the error
+delta = z^ - z or a derivative of z, fulfils on a step
+
+    (S Y)' = S f + e,    Y = M S Y + (1 - M S) Y,
+
+- for delta f = r, and |e| <= sup |S' + S A| D + sup |S| sup |q|;
+- for derivatives by the starts f = 0, for those by a parameter k f = dF/dk on the tube, and
+  |e| <= (sup |S' + S A| + sup |S| G) sup |Y|, |DF(z) - A|_ij <= G_ij = sum_k sup |d2F_i| D_k.
+
+So |Y| <= sup |M (S Y at the begin + integral of S f)| + l sup |M| |e| + sup |1 - M S| |Y|, and a
+bound that this keeps below itself holds on the whole step, as in the tube. Between steps
+
+    S Y in W(s) + {B r: |r_i| <= R_i},
+
+with Taylor models W, in which the signs of the defect cancel. M goes on from step to step until
+|M| |S| is large, which enlarges what is known up to its size. Then M becomes the identity again, W
+and B are multiplied by M, and the radii of W go into B r. The new B is about orthogonal in units of
+the components, its first column along the longest edge of the set (Lohner 1992), so that these sets
+hardly wrap.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hamsym.proof.arithmetic.balls import ball, working
+from hamsym.proof.arithmetic.directed import UNIT, sum_up
+from hamsym.proof.arithmetic.generated import ParameterSlopes
+from hamsym.proof.arithmetic.taylor_models import (
+    BITS,
+    MODELS,
+    Model,
+    Parts,
+    float_with_radius,
+    total,
+)
+from hamsym.proof.boxes.tube import Matrix, StepModels, Stepper, kept_bound, sizes
+
+_TINY = 1e-250
+_TRIES = 8
+_ROOM = 1.05  # of a bound on derivatives
+_LARGE = 1e7  # |M| |S| from which M becomes the identity
+
+
+@dataclass
+class ErrorStep:
+    """Delta on a step.
+
+    - change: Bounds on the change of S before the step, shape (dim, dim, parts).
+    - w: W on the step.
+    - bound, rest, curvature: D; bounds on the integral of |e|, and on the second derivatives of F.
+    - added: Radii that the step adds, shape (dim, parts).
+    """
+
+    change: np.ndarray
+    w: list[Model]
+    bound: np.ndarray
+    rest: np.ndarray
+    curvature: np.ndarray
+    added: np.ndarray
+
+
+@dataclass
+class CarriedErrors:
+    """Delta, and the derivatives by the starts and by parameters, where a step begins.
+
+    - columns: W of delta, of starts and of parameters; a model for each component.
+    - frame, radii: B and R; shapes (dim, dim, parts) and (dim, columns, parts).
+    - fundamental, adjoint: M and S where the last step ended.
+    - present: Bounds on the columns there, shape (dim, columns, parts).
+    """
+
+    stepper: Stepper
+    slopes: ParameterSlopes
+    columns: list[list[Model]]
+    frame: np.ndarray
+    radii: np.ndarray
+    fundamental: Matrix
+    adjoint: Matrix
+    present: np.ndarray
+
+    @classmethod
+    def of_start(
+        cls, stepper: Stepper, slopes: ParameterSlopes, count: int, beside: np.ndarray
+    ) -> CarriedErrors:
+        """The columns at the start: delta within ``beside``, the identity, and ``count`` zeros."""
+        dim, space = stepper.flow.dim, stepper.space
+        start = np.hstack([np.zeros((dim, 1)), np.eye(dim), np.zeros((dim, count))])
+        columns = [[space.constant(np.array([entry])) for entry in own] for own in start.T.tolist()]
+        radii = np.zeros((dim, len(columns), 1))
+        radii[:, 0, 0] = beside
+        one = stepper.first(1)
+        frame, present = np.eye(dim)[:, :, None], start[:, :, None] + radii
+        return cls(stepper, slopes, columns, frame, radii, one, one, present)
+
+    def split(self, parts: Parts) -> CarriedErrors:
+        """The columns on parts of the parts."""
+        space, own = self.stepper.space, parts.parents
+
+        def halved(rows: list[list[Model]]) -> list[list[Model]]:
+            return [[space.parts_of(model, parts) for model in row] for row in rows]
+
+        fundamental = [[entry.polynomial() for entry in row] for row in halved(self.fundamental)]
+        return CarriedErrors(
+            self.stepper,
+            self.slopes,
+            halved(self.columns),
+            self.frame[:, :, own],
+            self.radii[:, :, own],
+            fundamental,
+            halved(self.adjoint),
+            self.present[:, :, own],
+        )
+
+    def step(self, models: StepModels, jump: list[Model]) -> ErrorStep:
+        """Delta on a step at whose begin the polynomials change by ``jump``."""
+        space, dim = self.stepper.space, len(jump)
+        starts = [[space.at_end(entry, -1) for entry in row] for row in models.adjoint]
+        pairs = zip(starts, self.adjoint, strict=True)
+        change = sizes([[a - b for a, b in zip(*rows, strict=True)] for rows in pairs])
+        shifts = [
+            total([entry * model for entry, model in zip(row, jump, strict=True)]) for row in starts
+        ]
+        w = self._on_step(0, models, change, shifts, models.forced)
+        linear = np.array([model.largest() for model in _product(models.fundamental, w)])
+        linear = sum_up(linear + self._spread(models)[:, 0])
+        bound, rest, curvature = kept_bound(self.stepper.flow, models, linear)
+        before = np.array([model.radius for model in self.columns[0]])
+        more = np.array([space.at_end(model, 1).radius for model in w]) - before + rest
+        added = np.einsum("ijc,jc->ic", sizes(models.fundamental), more)
+        added = np.where(np.isfinite(bound), added, np.inf)
+        return ErrorStep(change, w, bound, rest, curvature, added.reshape(dim, -1))
+
+    def _on_step(
+        self,
+        number: int,
+        models: StepModels,
+        change: np.ndarray,
+        shifts: list[Model] | None,
+        forced: list[Model] | None,
+    ) -> list[Model]:
+        """W of a column on a step."""
+        space = self.stepper.space
+        wider = np.einsum("ijc,jc->ic", change, self.present[:, number])
+        wider = sum_up(wider, len(change))
+        found = [model.widened(r) for model, r in zip(self.columns[number], wider, strict=True)]
+        if shifts is not None:
+            found = [a + b for a, b in zip(found, shifts, strict=True)]
+        if forced is not None:
+            with working(BITS):
+                half = float_with_radius(ball(models.step.half))
+            pairs = zip(found, forced, strict=True)
+            found = [model + space.integral(more).times(*half) for model, more in pairs]
+        return found
+
+    def _spread(self, models: StepModels) -> np.ndarray:
+        """Bounds on |M B r| over a step, shape (dim, columns, parts)."""
+        one = np.broadcast_to(np.eye(len(self.frame))[:, :, None], self.frame.shape)
+        return self._moved(one, models.fundamental)
+
+    def _moved(self, left: np.ndarray, matrix: Matrix) -> np.ndarray:
+        """Bounds on |left matrix B r|, shape (dim, columns, parts)."""
+        dim = len(left)
+        entries = np.array([[model.coefficients for model in row] for row in matrix])
+        radius = np.array([[model.radius for model in row] for row in matrix])
+        amounts = np.array([[model.amount() for model in row] for row in matrix])
+        product = np.einsum("ijc,jktc,klc->iltc", left, entries, self.frame, optimize=True)
+        found = np.abs(product).sum(axis=2)
+        rounding = radius + 2 * (2 * dim + 6) * UNIT * amounts
+        sides = np.abs(left), rounding, np.abs(self.frame)
+        found += np.einsum("ijc,jkc,klc->ilc", *sides, optimize=True)
+        found = np.einsum("ilc,lkc->ikc", found, self.radii)
+        return np.asarray(sum_up(found, entries.shape[2] + 6 * dim))
+
+    def after(
+        self, models: StepModels, step: ErrorStep
+    ) -> tuple[CarriedErrors, np.ndarray, np.ndarray]:
+        """The columns after a step; and V and V_error of the derivatives on it."""
+        dim, space = self.stepper.flow.dim, self.stepper.space
+        with np.errstate(all="ignore"):  # infinite where there is no bound
+            M, S = sizes(models.fundamental), sizes(models.adjoint)
+            near = sum_up(np.einsum("ijkc,kc->ijc", step.curvature, step.bound), dim)
+            grown = sum_up(models.mismatch + np.einsum("ijc,jkc->ikc", S, near), 2 * dim)
+            grown = sum_up(models.length * grown)
+            spread = self._spread(models)
+            every, bounds, rests = [step.w], [step.bound], [step.rest]
+            V, V_error = [], []
+            for number, forced in enumerate(self._forced(models, step), start=1):
+                w = self._on_step(number, models, step.change, None, forced)
+                main = _product(models.fundamental, w)
+                linear = np.array([model.largest() for model in main]) + spread[:, number]
+                bound, rest = _kept_below(sum_up(linear), M, grown, models.rest)
+                middle, beside = _without_inputs(main)
+                beside = beside + spread[:, number] + np.einsum("ijc,jc->ic", M, rest)
+                beside = beside + np.einsum("ijc,jc->ic", models.rest, bound)
+                every.append(w)
+                bounds.append(bound)
+                rests.append(rest)
+                V.append(middle)
+                V_error.append(sum_up(beside, 3 * dim))
+            columns = [
+                [space.at_end(model, 1).widened(r) for model, r in zip(own, rest, strict=True)]
+                for own, rest in zip(every, rests, strict=True)
+            ]
+            found = CarriedErrors(
+                self.stepper,
+                self.slopes,
+                columns,
+                self.frame,
+                self.radii,
+                models.fundamental_at_end(),
+                [[space.at_end(entry, 1) for entry in row] for row in models.adjoint],
+                np.stack(bounds, axis=1),
+            )
+            reach = np.einsum("ijc,jkc,kc->ic", M, S, step.bound) / step.bound
+            if not reach.max() <= _LARGE:
+                found = found.reframed(models)
+            error = np.stack(V_error, axis=1)
+        return found, np.stack(V, axis=1), np.where(np.isfinite(error), error, np.inf)
+
+    def _forced(self, models: StepModels, step: ErrorStep) -> list[list[Model] | None]:
+        """S f of the derivatives; None where it vanishes."""
+        flow = self.stepper.flow
+        found: list[list[Model] | None] = [None] * (len(self.columns) - 1)
+        if not self.slopes.places:
+            return found
+        widened = [s.widened(r) for s, r in zip(models.states, step.bound, strict=True)]
+        clock, *parameters = models.arguments[flow.dim :]
+        with working(BITS):
+            values = self.slopes(MODELS, widened, parameters, clock)
+        for (i, k), value in zip(self.slopes.places, values, strict=True):
+            rate = flow.as_model(value, models.arguments)
+            more = [row[i] * rate for row in models.adjoint]
+            own = found[flow.dim + k]
+            pairs = zip(own or [], more, strict=True)
+            found[flow.dim + k] = [a + b for a, b in pairs] if own else more
+        return found
+
+    def reframed(self, models: StepModels) -> CarriedErrors:
+        """The same columns with M the identity."""
+        space, dim = self.stepper.space, len(self.frame)
+        ends = [[space.at_end(entry, 1) for entry in row] for row in models.fundamental]
+        main = [_product(ends, own) for own in self.columns]
+        added = np.stack([[model.radius for model in own] for own in main], axis=1)
+        added = added + np.einsum("ijc,jkc->ikc", models.rest, self.present)
+        added = sum_up(added, 2 * dim)
+        middle = np.array([[entry.coefficients[0] for entry in row] for row in ends])
+        frame, inverse, share = _orthogonal(
+            np.einsum("ijc,jkc,kc->ikc", middle, self.frame, self.radii[:, 0]), added[:, 0]
+        )
+        radii = self._moved(inverse, ends)
+        radii = sum_up(radii + np.einsum("ijc,jkc->ikc", np.abs(inverse), added), 2 * dim)
+        radii = sum_up(radii + share * radii.max(axis=0))
+        columns = [[model.polynomial() for model in own] for own in main]
+        one = self.stepper.first(len(share))
+        present = self.present
+        return CarriedErrors(
+            self.stepper, self.slopes, columns, frame, np.asarray(radii), one, one, present
+        )
+
+
+def _product(matrix: Matrix, column: list[Model]) -> list[Model]:
+    return [
+        total([entry * model for entry, model in zip(row, column, strict=True)]) for row in matrix
+    ]
+
+
+def _orthogonal(edges: np.ndarray, beside: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A frame B along the edges of a set, X, and c: |B^-1 v|_i <= |X v|_i + c max_j |X v|_j."""
+    dim = len(edges)
+    units = np.abs(edges).sum(axis=1) + beside
+    units = np.where((units > _TINY) & np.isfinite(units), units, 1.0)
+    edges = np.moveaxis(edges / units[:, None], 2, 0)
+    edges = np.where(np.isfinite(edges), edges, 0.0)
+    order = np.argsort(-np.linalg.norm(edges, axis=1), axis=1, kind="stable")
+    Q, _ = np.linalg.qr(np.take_along_axis(edges, order[:, None], axis=2))
+    Q = np.moveaxis(Q, 0, 2)
+    frame, inverse = Q * units[:, None], Q.transpose(1, 0, 2) / units[None]
+    product = np.einsum("ijc,jkc->ikc", inverse, frame) - np.eye(dim)[:, :, None]
+    large = np.einsum("ijc,jkc->ikc", np.abs(inverse), np.abs(frame))
+    off = np.abs(product) + 2 * (dim + 4) * UNIT * (large + 1)
+    norm = sum_up(off.sum(axis=1).max(axis=0), 2 * dim)  # of 1 - X B
+    return frame, inverse, np.where(norm < 0.5, sum_up(norm / (1 - norm)), np.inf)
+
+
+def _kept_below(
+    linear: np.ndarray, M: np.ndarray, grown: np.ndarray, rest: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds on a column Y and on the integral of |e|, (dim, parts); infinite where without."""
+    dim = len(linear)
+    bound, added = np.full_like(linear, np.inf), np.full_like(linear, np.inf)
+    guess = _ROOM * linear + _TINY
+    for _ in range(_TRIES):
+        x = sum_up(np.einsum("ijc,jc->ic", grown, guess), dim)
+        found = linear + np.einsum("ijc,jc->ic", M, x) + np.einsum("ijc,jc->ic", rest, guess)
+        found = sum_up(found, 2 * dim)
+        below = (found < guess).all(axis=0)
+        bound, added = np.where(below, found, bound), np.where(below, x, added)
+        if below.all():
+            break
+        guess = np.where(below, guess, np.maximum(guess, _ROOM * found + _TINY))
+    return bound, added
+
+
+def _without_inputs(column: list[Model]) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients of the powers of the time alone, and bounds on everything else of models."""
+    space = column[0].space
+    alone = space.exponents[:, 1:].sum(axis=1) == 0
+    values = np.array([model.coefficients[alone] for model in column])
+    rest = [np.abs(model.coefficients[~alone]).sum(axis=0) + model.radius for model in column]
+    return values, np.asarray(sum_up(np.array(rest), space.count))
