@@ -87,7 +87,7 @@ def _size(count: int) -> str:
     short_help="Write a report about a saved solution.",
     examples=[
         "hamsym report orbit.hamsym -o report.html",
-        "hamsym report orbit.hamsym --certify --no-compare",
+        "hamsym report orbit.hamsym --certify",
     ],
 )
 @click.argument("file", type=click.Path())
@@ -97,7 +97,6 @@ def _size(count: int) -> str:
     "--certificate", type=click.Path(), metavar="CERTIFICATE", help="[FILE.certificate, if any]"
 )
 @click.option("--certify", is_flag=True, help="Prove a bound on the error now.")
-@click.option("--compare/--no-compare", default=True, help="Compare with integrators  [yes]")
 @click.option(
     "--backend",
     type=click.Choice([name for name in BACKENDS if name != _HIDDEN]),
