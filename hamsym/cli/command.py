@@ -16,10 +16,9 @@ from hamsym.support.suggestions import did_you_mean, unknown
 from hamsym.support.text_tables import ROWS
 
 _OF_SECTIONS = {
-    "Problem": "q p param force lagrangian velocities z0 t-start t-end energy at box guess free "
-    "bounds sigma near period symmetry invariant degree basis start",
-    "Accuracy": "tol rtol atol steps dt prove bound confidence max-steps max-boxes "
-    "time-limit compensated",
+    "Problem": "q p param force lagrangian velocities z0 t-start t-end energy at box guess "
+    "near period symmetry invariant degree basis start",
+    "Accuracy": "tol rtol atol steps dt prove bound max-steps max-boxes time-limit compensated",
     "Output": "output export plot draw save-every saves full analysis latex certificate out json",
     "Help": "help list version",
 }
