@@ -39,7 +39,7 @@ with warnings.catch_warnings(record=True) as caught:
 for warning in caught:
     print(f"warning: {warning.message}")
 
-comparison = hamsym.compare(solution)
+comparison = hamsym.compare(solution, "symplectic_euler")  # as in the paper
 print(f"\n{comparison}")
 
 arguments.out.mkdir(parents=True, exist_ok=True)

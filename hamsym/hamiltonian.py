@@ -29,7 +29,7 @@ from hamsym.symbolic.symbolic_hamiltonian import SymbolicHamiltonian
 from hamsym.symbolic.variables import TIME, assign_variables
 
 if TYPE_CHECKING:
-    from hamsym import Equilibria
+    from hamsym import Equilibria, Regularization, Transformation
 
 
 @suggest_attributes
@@ -404,6 +404,102 @@ class Hamiltonian(SymbolicHamiltonian):
 
         return hamsym.equilibria(self, guess, box, **options)
 
+    def transformed(
+        self,
+        formulas: Mapping[Any, Any] | None = None,
+        *,
+        new: Sequence[str] | Mapping[str, str] | None = None,
+        positive: str | Sequence[str] = (),
+        **generating: str | sympy.Expr,
+    ) -> Transformation:
+        """Write H in other coordinates and momenta, by a canonical transformation.
+
+        That it is canonical is decided by the Poisson brackets of the formulas, never by numbers.
+        Units are not carried over.
+
+        Parameters
+        ----------
+        formulas : mapping of name to str or sympy.Expr, optional
+            Old variables in the new ones, in parameters of H and the time t: coordinates alone,
+            whose momenta follow, or coordinates and momenta. Pairs without a formula stay.
+        new : sequence of str, or mapping of coordinates to momenta, optional
+            Names of the new variables; by default the further names in the formulas, and ``p_r``
+            for ``r``.
+        positive : str or sequence of str
+            New variables that stay above zero, so that sqrt(r**2) is r.
+        F1, F2, F3, F4 : str or sympy.Expr, optional
+            A generating function of (q, Q), (q, P), (p, Q) or (p, P) in place of formulas.
+
+        Returns
+        -------
+        Transformation
+            With the new Hamiltonian ``H``, ``to_new`` and ``to_old``.
+
+        Raises
+        ------
+        InputError
+            If the transformation is not canonical, or this is not decided, or the new Hamiltonian
+            is not found.
+        VariableError
+            If names do not fit.
+
+        Examples
+        --------
+        >>> H = Hamiltonian("(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)")
+        >>> H.transformed({"x": "r*cos(phi)", "y": "r*sin(phi)"}, positive="r").H
+        Hamiltonian('-1/r + p_phi**2/(2*r**2) + p_r**2/2', pairs (phi, p_phi), (r, p_r))
+        >>> Hamiltonian("p**2/2 + x**2/2").transformed({"x": "2*X", "p": "P"})
+        Traceback (most recent call last):
+        ...
+        hamsym.errors.InputError: the transformation is not canonical: {x, p} is 2 in the new \
+variables, not 1
+        """
+        import hamsym
+
+        return hamsym.transform(self, formulas, new=new, positive=positive, **generating)
+
+    def regularized(
+        self,
+        kind: str | None = None,
+        *,
+        sundman: str | sympy.Expr | None = None,
+        coordinates: Sequence[str] | None = None,
+        about: Mapping[str, Any] | None = None,
+    ) -> Regularization:
+        """Remove collisions: another Hamiltonian in extended phase space, and the way back.
+
+        Parameters
+        ----------
+        kind : {"levi-civita", "kustaanheimo-stiefel"}, optional
+            For a collision in the plane or in space.
+        sundman : str or sympy.Expr, optional
+            dt/ds > 0 in the variables of H, without other coordinates, in place of a kind.
+        coordinates : sequence of str, optional
+            The two or three coordinates that meet in the collision; by default all of H.
+        about : mapping of str to number or str, optional
+            Its place, by coordinate, also in parameters of H; by default the origin.
+
+        Returns
+        -------
+        Regularization
+            With the new Hamiltonian ``H``, ``start`` for its states, and ``to_old`` for times and
+            states of this one.
+
+        Raises
+        ------
+        InputError
+            If H has forces, or another form than the kind needs.
+
+        Examples
+        --------
+        >>> kepler = Hamiltonian("(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)")
+        >>> kepler.regularized(sundman="sqrt(x**2 + y**2)").H.names
+        ('x', 'y', 'time', 'p_x', 'p_y', 'p_time')
+        """
+        import hamsym
+
+        return hamsym.regularize(self, kind, sundman=sundman, coordinates=coordinates, about=about)
+
     # -- generated code ----------------------------------------------------------------------
 
     def source(self, backend: str = "torch", part: str | None = None) -> str:
@@ -415,12 +511,12 @@ class Hamiltonian(SymbolicHamiltonian):
 
         Parameters
         ----------
-        backend : {"torch", "numpy", "numba", "jax", "c", "julia", "balls"}
-            ``"c"`` is C99, ``"julia"`` for DifferentialEquations.jl.
+        backend : {"torch", "numpy", "numba", "jax", "c", "julia", "javascript", "balls"}
+            ``"c"`` is C99, ``"julia"`` for DifferentialEquations.jl, ``"javascript"`` an ES module.
         part : str, optional
-            The name of one function, such as ``"loss"``. C and Julia have no residual and no loss,
-            but ``"jacobian"``, that of the vector field. The module of balls does not contain
-            ``"third_derivatives"``, which proofs over boxes use.
+            The name of one function, such as ``"loss"``. C, Julia and JavaScript have no residual
+            and no loss, but ``"jacobian"``, that of the vector field. The module of balls does not
+            contain ``"third_derivatives"``, which proofs over boxes use.
 
         Raises
         ------

@@ -23,7 +23,7 @@ export HAMSYM_CACHE_DIR="$folder/cache"
 venv/bin/python -c "import hamsym; assert hamsym.__file__.startswith('$folder/venv'), hamsym.__file__"
 venv/bin/python -m pytest tests/test_packaging.py
 venv/bin/hamsym --help >/dev/null
-for backend in torch numpy numba jax c julia; do
+for backend in torch numpy numba jax c julia javascript; do
     venv/bin/hamsym source "p**2/2 + x**2/2 + x**4/4" --backend "$backend" >/dev/null
 done
 venv/bin/hamsym solve "p**2/2 + x**2/2 + x**4/4" --z0 x=1.3,p=1 --t-end 6 -o orbit.hamsym

@@ -31,7 +31,7 @@ print(H.equilibria([[0, 0], [1, 0]]))
 print(H.source("numpy", part="vector_field"))
 
 # %%
-# The same equations for other languages: numba, torch, jax, C and Julia.
+# The same equations for other languages: numba, torch, jax, C, Julia and JavaScript.
 
 print(H.source("c", part="vector_field"))
 

@@ -29,10 +29,14 @@ GROUPS = {
     "Comparison, figures and files": ["compare", "Comparison", "plot", "save", "load"],
     "Errors": ["HamsymError", "InputError", "FileError", "CertificationError"],
 }
+GROUPS["Equations and code"] += ["transform", "Transformation", "regularize", "Regularization"]
 GROUPS["Comparison, figures and files"] += ["describe", "Facts"]
 GROUPS["Methods of solve"] += ["Adam", "Regularizer"]
 GROUPS["Proofs"] += ["BoxCertificate"]
+GROUPS["Equilibria and periodic orbits"] += ["normal_form", "NormalForm"]
+GROUPS["Dynamics"] += ["frequencies", "Frequencies", "time_average"]
 GROUPS["Dynamics"] += ["chaos_indicators", "ChaosIndicators", "monodromy"]
+GROUPS["Proofs"] += ["SectionCertificate"]
 GROUPS["Equilibria and periodic orbits"] += ["periodic_orbit", "PeriodicOrbit", "orbit_family"]
 GROUPS["Equilibria and periodic orbits"] += ["OrbitFamily", "prove_orbit", "OrbitCertificate"]
 
@@ -52,13 +56,14 @@ _MEMBERS = """\
 # Headers of the kernel, whose first comments state lemmas of the proofs, and modules of proofs.
 HEADERS = ("balls.h", "series.h", "enclosures.h")
 LEMMAS = (
-    "proven_windows",
-    "trial_models",
-    "window_proof",
-    "enclose",
-    "box_proof",
-    "tube",
-    "map_models",
+    "windows.window_lemma",
+    "windows.window_sets",
+    "windows.trial_models",
+    "windows.window_proof",
+    "windows.enclose",
+    "boxes.box_proof",
+    "boxes.tube",
+    "boxes.map_models",
 )
 
 
@@ -135,7 +140,7 @@ def _lemmas() -> str:
         text += f"## {name}\n\n`hamsym/kernel/{name}`: {first.strip()}\n\n"
         text += f"```text\n{textwrap.dedent(rest).strip()}\n```\n\n"
     for name in LEMMAS:
-        path = f"hamsym.proof.{name}"
+        path, name = f"hamsym.proof.{name}", name.split(".")[-1]
         first, _, rest = (importlib.import_module(path).__doc__ or "").partition("\n")
         text += f"## {name}\n\n`{path}`: {first}\n\n"
         if rest.strip():

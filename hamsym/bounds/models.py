@@ -13,7 +13,15 @@ import functools
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from hamsym.kernel.loops import Equations, Pieces, Record, arrays, library, require_memory
+from hamsym.kernel.loops import (
+    BoundTables,
+    Equations,
+    Pieces,
+    Record,
+    arrays,
+    library,
+    require_memory,
+)
 from hamsym.numerics.collocation import turns
 
 DEGREE = 31  # of the polynomials: the columns of the march have 1e-14 beyond it
@@ -91,12 +99,11 @@ def residual_bounds(
     return bounds, rounding
 
 
-def resolved(programs: Equations, pieces: Pieces) -> np.ndarray:
-    """Return whether the bound of the residual of each window is within its limit."""
+def bounded(programs: Equations, tables: BoundTables, pieces: Pieces) -> np.ndarray:
+    """Return whether a bound of the residual of each window is within its limit."""
     found = np.zeros(pieces.windows, dtype=np.int8)
-    done = library().hamsym_resolved(
-        *(ctypes.byref(programs.program(name)) for name in ("velocity", "force")),
-        *(ctypes.byref(model_tables()), ctypes.byref(pieces), found.ctypes.data),
+    done = library().hamsym_bounded(
+        *map(ctypes.byref, (programs, tables, pieces)), found.ctypes.data
     )
     require_memory(done)
     return found.astype(bool)

@@ -12,13 +12,14 @@ import click
 from click.shell_completion import CompletionItem
 
 from hamsym.facts.facts import strict
-from hamsym.support.suggestions import did_you_mean, unknown
+from hamsym.support.suggestions import did_you_mean, similar, unknown
 from hamsym.support.text_tables import ROWS
 
 _OF_SECTIONS = {
-    "Problem": "q p param force lagrangian velocities z0 t-start t-end energy at box guess "
-    "near period symmetry invariant degree basis start",
-    "Accuracy": "tol rtol atol steps dt prove bound max-steps max-boxes time-limit compensated",
+    "Problem": "q p param force lagrangian velocities z0 t-start t-end energy at box guess free "
+    "bounds sigma near period symmetry invariant degree basis start",
+    "Accuracy": "tol rtol atol steps dt prove bound confidence max-steps max-boxes "
+    "time-limit compensated",
     "Output": "output export plot draw save-every saves full analysis latex certificate out json",
     "Help": "help list version",
 }
@@ -29,6 +30,15 @@ _LAST = ("Output", "Help")
 
 #: Settings of every context: the names of the option that prints the help.
 HELP = {"help_option_names": ["-h", "--help"]}
+
+
+# Names of other programs, and of arguments of Python, for options.
+_MEANT = {
+    **dict.fromkeys(("surface", "where", "section"), "at"),
+    **dict.fromkeys(("tmax", "t-max", "tend", "tfinal", "time", "span", "t-span"), "t-end"),
+    **dict.fromkeys(("y0", "x0", "start", "initial", "state"), "z0"),
+    **dict.fromkeys(("parameter", "parameters", "params"), "param"),
+}
 
 
 class InterruptError(Exception):
@@ -94,17 +104,32 @@ class Command(click.Command):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse arguments; a formula that begins with a minus sign is not taken for an option."""
         given = list(args)
+        ctx.allow_extra_args = True  # answered here
         try:
-            return super().parse_args(ctx, args)
-        except click.NoSuchOption:
+            rest = super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
             formula = next((a for a in given if a[:1] == "-" and set(a) & set("*/+(")), None)
             if formula is None or formula.startswith("--"):
-                raise
+                raise click.UsageError(self._meant(ctx, error.option_name), ctx) from None
             raise click.UsageError(
                 f"{formula!r} begins as an option does; give the options first, then -- and the "
                 "formula",
                 ctx,
             ) from None
+        if rest:
+            names = [option for each in self.get_params(ctx) for option in each.opts]
+            option = next((name for name in ("--certificate", "--z0") if name in names), None)
+            remedy = f"give it as {option} {rest[0]}" if option else "quotes keep a formula in one"
+            raise click.UsageError(f"{rest[0]!r} is one argument too many; {remedy}", ctx)
+        return rest
+
+    def _meant(self, ctx: click.Context, name: str) -> str:
+        """Return the sentence about an option that does not exist."""
+        names = [option for each in self.get_params(ctx) for option in each.opts]
+        other = f"--{_MEANT.get(name.strip('-').replace('_', '-'))}"
+        found = other if other in names else similar(name, names)
+        remedy = f"give {found}" if found else f"'hamsym {ctx.info_name} --help' lists them"
+        return f"{name} is not an option of {ctx.info_name}; {remedy}"
 
     def invoke(self, ctx: click.Context) -> int:
         as_json = ctx.params.pop("as_json", False)
@@ -112,6 +137,8 @@ class Command(click.Command):
         report = super().invoke(ctx)
         if not isinstance(report, Report):
             return int(report or 0)
+        if (note := ctx.meta.get("hamsym.note")) and not as_json:
+            click.echo(note)
         _echo(report, as_json)
         return 0 if report.success else 1
 

@@ -27,6 +27,7 @@ from hamsym.cli.derivation import derive, invariants, source
 from hamsym.cli.equilibria import equilibria
 from hamsym.cli.exploring import explore
 from hamsym.cli.exporting import export, report
+from hamsym.cli.fitting import fit
 from hamsym.cli.orbits import orbit
 from hamsym.cli.paper import reproduce
 from hamsym.cli.proofs import certify, verify
@@ -100,7 +101,7 @@ def _warn(message: Warning | str) -> None:
     cls=Group,
     subjects={
         "Derive": "derive source invariants equilibria systems",
-        "Solve": "solve integrate compare",
+        "Solve": "solve integrate compare fit",
         "Dynamics": "lyapunov section orbit",
         "Prove": "certify verify",
         "Show and share": "report export explore",
@@ -135,6 +136,7 @@ for command in (
     equilibria,
     orbit,
     compare,
+    fit,
     certify,
     verify,
     report,

@@ -9,7 +9,7 @@ import click
 
 from hamsym.cli.command import Command, Report
 from hamsym.cli.output import CERTIFICATE, check_directory
-from hamsym.cli.texts import saved_solution
+from hamsym.cli.texts import number, ranges, saved_solution
 from hamsym.codegen.backends import BACKENDS
 from hamsym.errors import InputError
 
@@ -18,8 +18,11 @@ _HIDDEN = "balls"  # code of proofs, which nobody runs by hand
 
 @click.command(
     cls=Command,
-    short_help="Write a saved solution as code without hamsym.",
-    examples=["hamsym export orbit.hamsym -o orbit.py", "hamsym export orbit.hamsym -o orbit.h"],
+    short_help="Write a saved solution as code or as a page without hamsym.",
+    examples=[
+        "hamsym export orbit.hamsym -o orbit.py",
+        "hamsym export orbit.hamsym -o lesson.html --title 'An oscillator'",
+    ],
 )
 @click.argument("file", type=click.Path())
 @click.option(
@@ -28,25 +31,52 @@ _HIDDEN = "balls"  # code of proofs, which nobody runs by hand
     required=True,
     type=click.Path(),
     metavar="FILE",
-    help="Ends in .py, .json or .h.",
+    help="Ends in .py, .json, .h or .html.",
 )
 @click.option(
     "--certificate", type=click.Path(), metavar="CERTIFICATE", help="[FILE.certificate, if there]"
 )
 @click.option("--allow-failed", is_flag=True, help="Export a solution that did not converge.")
-def export(file: str, output: str, certificate: str | None, allow_failed: bool) -> Report:
-    """Write a saved solution as Python, JSON or C code that needs no hamsym.
+@click.option(
+    "--slider",
+    "sliders",
+    multiple=True,
+    metavar="NAME=LOW:HIGH",
+    help="A parameter with a slider on a page  [all]",
+)
+@click.option("--title", help="Heading of a page.")
+@click.option("--text", help="Text of a page; empty lines separate paragraphs.")
+def export(
+    file: str,
+    output: str,
+    certificate: str | None,
+    allow_failed: bool,
+    sliders: tuple[str, ...],
+    title: str | None,
+    text: str | None,
+) -> Report:
+    """Write a saved solution as Python, JSON or C code, or as a page, that needs no hamsym.
 
-    FILE is a solution saved by `hamsym solve -o FILE`. The file says what it is, its error and its
-    certificate, which is compared with the solution and not proven again.
+    FILE is a solution saved by `hamsym solve -o FILE`. Code says what it is, its error and its
+    certificate, which is compared with the solution and not proven again. A page (.html) is a
+    lesson: its motion is computed in the browser, with sliders for the start and parameters.
     """
     check_export(output)
+    named = ranges(sliders, "--slider")
+    ends = {name: (number(low), number(high)) for name, (low, high) in named.items()}
     solution = saved_solution(file)
     path = Path(certificate or f"{file}{CERTIFICATE}")
     proof = None
     if certificate is not None or path.exists():
         proof = _certificate(path, solution)
-    solution.export(output, certificate=proof, allow_failed=allow_failed)
+    solution.export(
+        output,
+        certificate=proof,
+        allow_failed=allow_failed,
+        parameters=ends or None,
+        title=title,
+        text=text or "",
+    )
     size = Path(output).stat().st_size
     return Report(f"wrote {output} ({_size(size)})", {"files": [output], "bytes": size})
 

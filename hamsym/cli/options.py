@@ -13,9 +13,11 @@ from hamsym.cli.output import check_figure, check_table, save_figure, write_tabl
 from hamsym.cli.texts import assignments, formulas, listed, number, state
 from hamsym.errors import InputError
 from hamsym.support.suggestions import similar
+from hamsym.support.text_tables import wrapped as wrapped_text
 
 if TYPE_CHECKING:
     from hamsym.hamiltonian import Hamiltonian
+    from hamsym.systems import Problem
 
 Command = Callable[..., Any]
 
@@ -67,20 +69,70 @@ def hamiltonian_options(command: Command) -> Command:
     ) -> Any:
         from hamsym.hamiltonian import Hamiltonian  # sympy is slow to import
 
-        H = Hamiltonian(expression, q=q, p=p, parameters=parameters, forces=forces)
+        problem = None if q or p or forces else _listed_problem(expression)
+        if problem is not None:
+            H = problem.H.with_parameters(**(parameters or {}))
+        else:
+            H = Hamiltonian(expression, q=q, p=p, parameters=parameters, forces=forces)
         return command(H, **options)
 
     return wrapped
+
+
+def _listed_problem(name: str) -> Problem | None:
+    """Return the system of the catalogue with this name, for the options that are not given."""
+    if not name.isidentifier():
+        return None
+    from hamsym.systems import CATALOGUE
+
+    if name not in CATALOGUE:
+        return None
+    problem = CATALOGUE[name]()
+    context = click.get_current_context()
+    context.meta["hamsym.problem"] = problem
+    start = ",".join(f"{n}={v:.6g}" for n, v in zip(problem.H.names, problem.z0, strict=True))
+    context.meta["hamsym.note"] = "\n".join(
+        (
+            wrapped_text(
+                f"system of the catalogue; usual are --z0 {start} and --t-end {problem.span[1]:g}",
+                f"{name}: ",
+            ),
+            wrapped_text(problem.H.notation.text(problem.H.expr), "H = "),
+        )
+    )
+    return problem
+
+
+def _usual() -> Problem | None:
+    """Return the system of the catalogue that was named in place of H."""
+    found: Problem | None = click.get_current_context().meta.get("hamsym.problem")
+    return found
+
+
+def _given_start(H: Hamiltonian, start: str | None) -> Any:
+    """Return the state of --z0, that of the catalogue if it is not given."""
+    if start is not None:
+        return state(start)
+    if (problem := _usual()) is not None:
+        return problem.z0
+    example = ",".join(f"{name}={int(k < H.dof)}" for k, name in enumerate(H.names))
+    raise InputError(f"--z0 is missing; give a value of each component, e.g. --z0 {example}")
 
 
 def _time_options(command: Command) -> Command:
     """Add --t-start and --t-end; the command takes a span."""
 
     @click.option("--t-start", default="0", metavar="TIME", show_default=True)
-    @click.option("--t-end", required=True, metavar="TIME", help='For example 20 or "4*pi".')
+    @click.option("--t-end", metavar="TIME", help='For example 20 or "4*pi".  [required]')
     @functools.wraps(command)
-    def wrapped(*arguments: Any, t_start: str, t_end: str, **options: Any) -> Any:
-        return command(*arguments, span=(number(t_start), number(t_end)), **options)
+    def wrapped(*arguments: Any, t_start: str, t_end: str | None, **options: Any) -> Any:
+        if t_end is not None:
+            last = number(t_end)
+        elif (problem := _usual()) is not None:
+            last = problem.span[1]
+        else:
+            raise InputError("--t-end is missing; give the last time, e.g. --t-end 20")
+        return command(*arguments, span=(number(t_start), last), **options)
 
     return wrapped
 
@@ -89,12 +141,14 @@ def span_options(command: Command) -> Command:
     """Add one initial state and the times; the command takes a state and a span."""
 
     @click.option(
-        "--z0", "start", required=True, metavar="STATE", help="For example x=1.3,p=1 or 1.3,1."
+        "--z0", "start", metavar="STATE", help="For example x=1.3,p=1 or 1.3,1.  [required]"
     )
     @_time_options
     @functools.wraps(command)
-    def wrapped(H: Hamiltonian, start: str, span: tuple[float, float], **options: Any) -> Any:
-        return command(H, state(start), span, **options)
+    def wrapped(
+        H: Hamiltonian, start: str | None, span: tuple[float, float], **options: Any
+    ) -> Any:
+        return command(H, _given_start(H, start), span, **options)
 
     return wrapped
 
@@ -105,10 +159,9 @@ def starts_options(command: Command) -> Command:
     @click.option(
         "--z0",
         "starts",
-        required=True,
         multiple=True,
         metavar="STATE",
-        help="For example x=1.3,p=1; repeat it for further trajectories.",
+        help="For example x=1.3,p=1; repeat it for further trajectories.  [required]",
     )
     @_time_options
     @functools.wraps(command)
@@ -116,7 +169,7 @@ def starts_options(command: Command) -> Command:
         H: Hamiltonian, starts: tuple[str, ...], span: tuple[float, float], **options: Any
     ) -> Any:
         energy = options.pop("energy", None)
-        states: list[Any] = [state(start) for start in starts]
+        states: list[Any] = [_given_start(H, start) for start in starts or (None,)]
         if energy is not None:
             states = [
                 H.state_at_energy(number(energy), _by_name(given), span[0]) for given in states

@@ -12,7 +12,7 @@ from hamsym.support.atomic import write_atomically
 if TYPE_CHECKING:
     import numpy as np
 
-    from hamsym.proof.certificate import Certificate
+    from hamsym.proof.windows.certificate import Certificate
 
 CERTIFICATE = ".certificate"  # ending of the file beside that of a solution
 

@@ -41,6 +41,7 @@ Output = tuple[Any, Report, list[tuple[str, Any]], dict[str, Any]]
     short_help="Compute a trajectory to a tolerance, with its error.",
     examples=[
         'hamsym solve "p**2/2 + x**2/2 + x**4/4" --z0 x=1.3,p=1 --t-end "4*pi" --tol 1e-9',
+        "hamsym solve pendulum",
         'hamsym solve "p**2/2 - cos(x)" --z0 1,0 --t-end 20 -o orbit.hamsym --plot orbit.png',
         'hamsym solve "p**2/2 - cos(x)" --z0 1,0 --t-end 20 --plot it.png --draw "x, p**2/2"',
         'hamsym solve "p**2/2 + k*x**2/2" -P k=2 --z0 1,0 --t-end 3 --method adam --epochs 200',
@@ -101,7 +102,7 @@ def solve(
     cls=SolverCommand,
     short_help="Solve, and compare with integrators.",
     examples=[
-        'hamsym compare "p**2/2 + x**2/2" --z0 1,0 --t-end 10 --with usual',
+        'hamsym compare "p**2/2 + x**2/2" --z0 1,0 --t-end 10',
         'hamsym compare "p**2/2 + x**2/2" --z0 1,0 --t-end 10 --with yoshida4,gauss6',
         'hamsym compare "p**2/2 - cos(x)" --z0 1,0 --t-end 5 --tol 1e-6 --max-steps 100000',
     ],
@@ -112,8 +113,8 @@ def solve(
     "--with",
     "methods",
     metavar="NAMES",
-    help="Integrators, e.g. yoshida4,gauss6,dop853; usual for three in common use.  "
-    "[symplectic_euler, or implicit_midpoint]",
+    default="usual",
+    help="Integrators, e.g. symplectic_euler,gauss6,dop853.  [three in common use]",
     shell_complete=completing(integrators),
 )
 @click.option("--max-steps", default=100_000_000, show_default=True, help="Limit of the search.")
@@ -122,7 +123,7 @@ def compare(
     H: Hamiltonian,
     z0: Any,
     span: tuple[float, float],
-    methods: str | None,
+    methods: str,
     max_steps: int,
     draw: Draw,
     **options: Any,
@@ -132,7 +133,7 @@ def compare(
     from hamsym.study.compare import chosen_methods
     from hamsym.study.compare import compare as run_comparison
 
-    names = chosen_methods(H, None if methods is None else listed(methods))
+    names = chosen_methods(H, listed(methods))
     solution = run(H, z0, span, **options)
     comparison = run_comparison(solution, names, max_steps=max_steps)
     report = report_of(comparison)
@@ -280,6 +281,7 @@ def _indicators(
 @click.option("--energy", metavar="NUMBER", help="Energy of states that lack one component.")
 @integrator_options
 @click.option("--crossings", type=int, help="Stop at this number for each trajectory.")
+@click.option("--prove", is_flag=True, help="Prove that these are all, and how exact they are.")
 @output_options("Crossings as .csv or .npz.")
 @rows_option(ROWS)
 def section(

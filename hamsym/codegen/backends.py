@@ -8,6 +8,7 @@ the command line lists the backends.
 from __future__ import annotations
 
 import builtins
+import functools
 import keyword
 from dataclasses import dataclass
 
@@ -54,6 +55,18 @@ _JULIA_NAMES = frozenset(
     """.split()
 )
 
+# Words that modules in strict mode reserve, globals of the language that names would hide or that
+# cannot be declared, and names in the template.
+_JAVASCRIPT_NAMES = frozenset(
+    """
+    break case catch class const continue debugger default delete do else enum export extends false
+    finally for function if implements import in instanceof interface let new null package private
+    protected public return static super switch this throw true try typeof var void while with
+    yield await async of arguments eval undefined NaN Infinity Math Float64Array
+    z t out parameters PARAMETERS DIM power
+    """.split()
+).union(_FOR_SOLVERS)
+
 
 @dataclass(frozen=True)
 class Backend:
@@ -88,6 +101,9 @@ BACKENDS: dict[str, Backend] = {
         _FOR_SOLVERS, ("power",), extension="c", reserved=_C_NAMES, spells_greek=True, runs=False
     ),
     "julia": Backend(_FOR_SOLVERS, ("power",), extension="jl", reserved=_JULIA_NAMES, runs=False),
+    "javascript": Backend(
+        _FOR_SOLVERS, ("power",), extension="js", reserved=_JAVASCRIPT_NAMES, runs=False
+    ),
     # Functions of an arithmetic, which proofs run.
     "balls": Backend(
         ("energy", "vector_field", "hessian"),
@@ -98,12 +114,13 @@ BACKENDS: dict[str, Backend] = {
 }
 
 
-def runnable() -> list[str]:
+@functools.cache
+def runnable() -> tuple[str, ...]:
     """Names of the backends that can be compiled.
 
     Examples
     --------
     >>> runnable()
-    ['torch', 'numpy', 'numba', 'jax']
+    ('torch', 'numpy', 'numba', 'jax')
     """
-    return [name for name, backend in BACKENDS.items() if backend.runs]
+    return tuple(name for name, backend in BACKENDS.items() if backend.runs)

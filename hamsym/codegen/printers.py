@@ -1,4 +1,4 @@
-"""Printers of expressions for torch, numpy, numba, jax, C and Julia."""
+"""Printers of expressions for torch, numpy, numba, jax, C, Julia and JavaScript."""
 
 from __future__ import annotations
 
@@ -102,6 +102,7 @@ class CPrinter(Printer):
 
     backend = "c"
     functions = _table("{}", abs="fabs", min="smaller", max="larger")
+    raise_to = "pow"
 
     def integer(self, value: int) -> str:
         return f"{value}.0"
@@ -111,7 +112,7 @@ class CPrinter(Printer):
             return "*".join([self.names[base]] * int(exponent)), _MUL
         is_fraction = exponent.is_Rational and not exponent.is_Integer
         written = repr(float(exponent)) if is_fraction else self.argument(exponent)
-        return f"pow({self.argument(base)}, {written})", _ATOM
+        return f"{self.raise_to}({self.argument(base)}, {written})", _ATOM
 
 
 class JuliaPrinter(Printer):
@@ -120,6 +121,22 @@ class JuliaPrinter(Printer):
     backend = "julia"
     functions = _table("{}", abs="abs", min="min", max="max", atan2="atan")
     raised = "^"
+
+
+class JavaScriptPrinter(CPrinter):
+    """Printer of JavaScript for numbers; its library has no erf, and -x**2 is an error in it."""
+
+    backend = "javascript"
+    functions = {
+        kind: text
+        for kind, text in _table("Math.{}", abs="Math.abs", min="Math.min", max="Math.max").items()
+        if kind is not sympy.erf
+    }
+    sqrt = "Math.sqrt"
+    raise_to = "Math.pow"
+
+    def integer(self, value: int) -> str:
+        return str(value)
 
 
 #: Functions that numpy lacks, with the name and the definition that its modules give them.
@@ -132,6 +149,6 @@ PRINTERS: dict[str, type[Printer]] = {
     printer.backend: printer
     for printer in (
         *(TorchPrinter, NumpyPrinter, NumbaPrinter, JaxPrinter),
-        *(CPrinter, JuliaPrinter),
+        *(CPrinter, JuliaPrinter, JavaScriptPrinter),
     )
 }

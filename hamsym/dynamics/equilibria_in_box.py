@@ -21,11 +21,11 @@ from hamsym.dynamics.equilibrium_points import NEAR, Finder, counted, is_known, 
 from hamsym.dynamics.newton_starts import continues, converged_points
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.proof.balls import working
-from hamsym.proof.box_search import SINGULAR, Undecided, search_box, singular_term
-from hamsym.proof.derivative_balls import DerivativeBalls
+from hamsym.proof.arithmetic.balls import working
 from hamsym.proof.limits import Deadline
-from hamsym.proof.roots import BITS, Root, polynomial_roots
+from hamsym.proof.zeros.box_search import SINGULAR, Undecided, search_box, singular_term
+from hamsym.proof.zeros.derivative_balls import DerivativeBalls
+from hamsym.proof.zeros.roots import BITS, Root, polynomial_roots
 from hamsym.symbolic.stationary_points import blocks, exact_gradient
 
 _PROBES = 6  # 2**6 starts in the box

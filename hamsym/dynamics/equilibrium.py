@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
+import hamsym
 from hamsym.dynamics.linear_stability import LinearStability
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.proof.ball import Ball
+from hamsym.proof.arithmetic.ball import Ball
 from hamsym.support.shown import Drawn, Shown
 from hamsym.support.suggestions import suggest_attributes
 
@@ -54,6 +55,8 @@ class Equilibrium(Drawn, Shown):
         Whether it may be on the edge of the box that was searched, or outside within ``radius``.
     linear : LinearStability or None
         None where a parameter has no value.
+    H : Hamiltonian or None
+        The one whose equilibrium it is.
     """
 
     names: tuple[str, ...]
@@ -65,6 +68,7 @@ class Equilibrium(Drawn, Shown):
     family: str = ""
     on_edge: bool = False
     linear: LinearStability | None = field(default=None, repr=False)
+    H: Hamiltonian | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
         return f"Equilibrium({self.lines[0]}, {self.how})"
@@ -125,6 +129,33 @@ class Equilibrium(Drawn, Shown):
         if self.linear is None:
             raise AttributeError("the stability is unknown, because a parameter has no value")
         return self.linear
+
+    def normal_form(self, degree: int = 6) -> hamsym.NormalForm:
+        """Compute the Birkhoff normal form: H in actions, and whether the equilibrium is stable.
+
+        Parameters
+        ----------
+        degree : int
+            Of H in the coordinates, 2 to 12. With two degrees of freedom degree 6 takes a second,
+            and each further degree about twice as long; stability needs degree 4.
+
+        Returns
+        -------
+        NormalForm
+
+        Raises
+        ------
+        CertificationError
+            If the equilibrium is not proven, or not elliptic, or frequencies of coupled modes are
+            equal.
+
+        Examples
+        --------
+        >>> pendulum = hamsym.equilibria("p**2/2 - cos(x)")[0]
+        >>> pendulum.normal_form(6).formula
+        -0.00390625*I_1**3 - 0.0625*I_1**2 + 1.0*I_1
+        """
+        return hamsym.normal_form(self, degree)
 
     def __str__(self) -> str:
         return self.summary(rows=None)

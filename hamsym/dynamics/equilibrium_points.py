@@ -22,18 +22,18 @@ from hamsym.dynamics.linear_stability import LinearStability, linear_stability, 
 from hamsym.dynamics.newton_starts import Candidates, continues
 from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.proof.ball import Ball
-from hamsym.proof.balls import above, exact, working
-from hamsym.proof.derivative_balls import DerivativeBalls
+from hamsym.proof.arithmetic.ball import Ball
+from hamsym.proof.arithmetic.balls import above, exact, working
+from hamsym.proof.arithmetic.directed import TINY
 from hamsym.proof.public_check import require_same
-from hamsym.proof.roots import BITS, Root, enclosed_root
+from hamsym.proof.zeros.derivative_balls import DerivativeBalls
+from hamsym.proof.zeros.roots import BITS, Root, enclosed_root
 
 NEAR = 1e-3  # of the sizes: distance of approximations of one point with a singular Hessian
 _SAME = 1e-7  # of the sizes: the same, for other points
 _SAME_ENERGY = 1e-9
 _PLAUSIBLE = 1e-9  # of the terms of its row: |g| at a numerical point
 _COARSE = 40  # bits whose roundings include those of float64, in any order of operations
-_TINY = 1e-290  # what underflows
 _BLUR = 1e-9  # of the sizes: uncertainty of a numerical point
 
 
@@ -64,7 +64,7 @@ class Finder:
         if how == "numerical" and continues(self.candidates, z):
             known.setdefault("family", "one of its points is shown")
         linear = self._stability_at(z, exactly=how == "symbolic")
-        return Equilibrium(self.H.names, z, self.energy(z), how, linear=linear, **known)
+        return Equilibrium(self.H.names, z, self.energy(z), how, linear=linear, H=self.H, **known)
 
     def proven(self, root: Root, **known: Any) -> Equilibrium:
         """The equilibrium in an enclosure."""
@@ -82,6 +82,7 @@ class Finder:
             "symbolic" if "exact" in known else "proven",
             Ball(z, np.array(radius)),
             linear=self._stability_of(z),
+            H=self.H,
             **known,
         )
 
@@ -92,7 +93,7 @@ class Finder:
             balls = self._balls[0]
             found = [balls.energy(root.enclosure), *balls.gradient(root.enclosure)]
             middle = [float(entry.mid()) for entry in found]
-            radius = [above(entry.rad()) + _TINY for entry in found]
+            radius = [above(entry.rad()) + TINY for entry in found]
         slopes = np.asarray(self.H.compile("numpy").gradient(z))
         require_same(
             "Hamiltonian",

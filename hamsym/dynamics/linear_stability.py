@@ -1,6 +1,6 @@
 """Linear stability of an equilibrium: eigenvalues of J Hess, normal modes, Krein signatures.
 
-Input:  balls of the Hessian (:mod:`hamsym.proof.spectrum`).
+Input:  balls of the Hessian (:mod:`hamsym.proof.zeros.spectrum`).
 Output: :class:`LinearStability`.
 
 *Modes.* For an eigenvalue i w with w > 0 the complex vector v, with J Hess v = i w v, is scaled so
@@ -20,8 +20,8 @@ import numpy as np
 from flint import acb, acb_mat
 
 from hamsym.numerics.symplectic import generators, poisson_product
-from hamsym.proof.balls import working
-from hamsym.proof.spectrum import BlockSpectrum, block_spectra
+from hamsym.proof.arithmetic.balls import working
+from hamsym.proof.zeros.spectrum import BlockSpectrum, block_spectra
 
 DEGENERATE = "degenerate"
 _NOISE = 1e-14  # of the largest eigenvalue

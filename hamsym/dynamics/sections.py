@@ -10,7 +10,7 @@ import math
 import time
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -18,7 +18,8 @@ import sympy
 
 import hamsym
 from hamsym.dynamics.crossings import Crossings, Setting
-from hamsym.errors import StepSizeWarning
+from hamsym.dynamics.proven_sections import SectionCertificate, prove_section
+from hamsym.errors import CertificationError, StepSizeWarning
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.automatic_steps import AIM, choose_steps
 from hamsym.integrators.energy_drift import COARSE
@@ -28,6 +29,8 @@ from hamsym.problems.ensemble import Ensemble, ensemble_of
 from hamsym.problems.observed import observed
 from hamsym.problems.problem import checked_span, checked_steps
 from hamsym.problems.surface import Surface, parse_surface, surface_text
+from hamsym.proof.arithmetic.ball import Ball
+from hamsym.proof.windows.enclose import initial_balls
 from hamsym.support.record_fields import AnyFloat, Size, counts, floats
 from hamsym.support.shown import Drawn, Saved
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
@@ -46,7 +49,8 @@ class Section(Drawn, Saved):
     ``plot()`` draws them in a plane that the surface leaves free, with a colour for each start, and
     ``plot("x", "p")`` in that of two components. Up to twelve starts have an entry in the legend
     with what varies, more a colour bar. If the surface is crossed both ways, dots are crossings
-    where its left side rises, crosses where it falls.
+    where its left side rises, crosses where it falls. A grey line is the boundary of the states of
+    one energy.
 
     Attributes
     ----------
@@ -82,6 +86,8 @@ class Section(Drawn, Saved):
         With the parameters of the first start.
     axes : (str, str)
         Components that figures show: a pair that the surface leaves free.
+    certificate : SectionCertificate or None
+        Proven crossings, from ``section(..., prove=True)``.
     """
 
     surface: str
@@ -103,6 +109,7 @@ class Section(Drawn, Saved):
     parameters: Mapping[str, Annotated[np.ndarray, floats("starts")]] = field(
         default_factory=dict, repr=False
     )
+    certificate: SectionCertificate | None = field(default=None, repr=False)
 
     def check(self) -> None:
         """Raise ValueError unless the crossings are those of trajectories of H, in order."""
@@ -117,6 +124,8 @@ class Section(Drawn, Saved):
         same, next_one = np.diff(self.trajectory) == 0, np.diff(self.trajectory) > 0
         if not (next_one | (same & later)).all():
             raise ValueError("its crossings are not in order")
+        if self.certificate is not None and len(self.certificate.rising) != len(self.t):
+            raise ValueError("another number of crossings is proven")
 
     def __repr__(self) -> str:
         starts = len(np.unique(self.trajectory))
@@ -192,6 +201,7 @@ def section(
     direction: float = 0.0,
     crossings: int | None = None,
     parameters: Mapping[Any, Any] | None = None,
+    prove: bool = False,
     progress: bool | None = None,
 ) -> Section:
     """Locate crossings of a surface by one trajectory or by each of an ensemble.
@@ -226,6 +236,11 @@ def section(
         Number of crossings per trajectory after which to stop.
     parameters : mapping of name to number or array, optional
         Values that replace those of H, also in the surface, broadcast with the states.
+    prove : bool
+        Prove that the crossings are all, and transversal, and enclose their times, their states and
+        the derivative of the Poincare map: ``certificate`` has them. The surface must be smooth,
+        and one start may have balls as components, as for :func:`hamsym.enclose`: what is proven
+        then holds for all starts in them.
     progress : bool, optional
         Show progress; by default on a terminal, after a second.
 
@@ -233,8 +248,8 @@ def section(
     -------
     Section
         With ``success=False`` and a message if a trajectory ends early, has too few crossings,
-        leaves the domain of the surface, H drifts by more than 1 % of its scale, or the force has a
-        feature, for example a pulse, that the steps pass over.
+        leaves the domain of the surface, H drifts by more than 1 % of its scale, the force has a
+        feature, for example a pulse, that the steps pass over, or ``prove`` fails.
 
     Warns
     -----
@@ -252,8 +267,12 @@ def section(
     >>> found = section(H, {"x": 0, "y": 0.1, "p_x": 1, "p_y": 0}, (0, 50), "x = 0, p_x > 0")
     >>> len(found.t), (found.t / (2 * np.pi)).round(9)
     (7, array([1., 2., 3., 4., 5., 6., 7.]))
+    >>> one = section("p**2/2 - cos(x)", [1, 0], (0, 8), "x = 0, p > 0", prove=True)
+    >>> one.certificate.t.mid.round(6), bool(one.certificate.t.radius < 1e-14)
+    (array([5.024982]), True)
     """
-    members = ensemble_of(H, z0, parameters)
+    balls = _start_balls(H, z0) if prove else None
+    members = ensemble_of(H, z0 if balls is None else balls.mid, parameters)
     H = members.H
     start, end = span = checked_span(span)
     chosen = method is None and steps is None and dt is None
@@ -292,7 +311,7 @@ def section(
     if advice and not problem:
         message = f"{message}: {advice}"
         warnings.warn(message, StepSizeWarning, stacklevel=3)
-    return Section(
+    found = Section(
         surface=surface,
         names=H.names,
         t=t,
@@ -311,6 +330,30 @@ def section(
         drift=drift,
         parameters=members.columns,
     )
+    return _proven(found, balls, direction, crossings) if prove else found
+
+
+def _start_balls(H: HamiltonianLike, z0: Any) -> Ball | None:
+    """The balls of one start, shape (dim,); None for several, which are numbers."""
+    parts = z0.values() if isinstance(z0, Mapping) else z0 if np.iterable(z0) else ()
+    if any(isinstance(part, (list, np.ndarray)) and np.ndim(part) for part in parts):
+        return None
+    found = initial_balls(Hamiltonian.of(H), z0)
+    return Ball(np.array([b.mid for b in found]), np.array([b.radius for b in found]))
+
+
+def _proven(found: Section, start: Ball | None, direction: float, limit: int | None) -> Section:
+    """The section with its certificate, or without success and the reason."""
+    if not found.success:
+        return found
+    radius = np.zeros(found.z0.shape)
+    if start is not None:
+        radius += start.radius
+    try:
+        certificate = prove_section(found, Ball(found.z0, radius), direction, limit)
+    except CertificationError as error:
+        return replace(found, success=False, message=f"{found.message}; not proven: {error}")
+    return replace(found, certificate=certificate, message=f"{found.message}; all proven")
 
 
 def _energy_error(members: Ensemble, z: np.ndarray, trajectory: np.ndarray) -> float:

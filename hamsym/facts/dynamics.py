@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hamsym.facts.facts import Column, Entry, Fact, Facts, Table
+from hamsym.facts.proofs import ball_text
 from hamsym.facts.wording import (
     by_name,
+    error_text,
     facts_of,
     formulas_of,
     problem_facts,
@@ -20,8 +22,10 @@ from hamsym.facts.wording import (
 if TYPE_CHECKING:
     from hamsym.dynamics.chaos_indicators import ChaosIndicators
     from hamsym.dynamics.equilibrium import Equilibria, Equilibrium
+    from hamsym.dynamics.frequencies import Frequencies
     from hamsym.dynamics.lyapunov import LyapunovExponents
     from hamsym.dynamics.lyapunov_map import LyapunovMap
+    from hamsym.dynamics.normal_forms import NormalForm
     from hamsym.dynamics.sections import Section
 
 _WIDE = 4  # exponents and components in a short table
@@ -101,6 +105,27 @@ def _lyapunov_map(found: LyapunovMap) -> Facts:
     )
 
 
+def _frequencies(found: Frequencies) -> Facts:
+    fields = ("frequency", "amplitude", "phase", "error", "drift")
+    places = [p for p in np.ndindex(found.frequency.shape) if np.isfinite(found.frequency[p])]
+    forms = (".10g", ".4g", ".4f", ".1e", ".1e")
+    arrays = {name: getattr(found, name) for name in fields}
+    columns = [
+        Column(name, [arrays[name][place] for place in places], form)
+        for name, form in zip(fields, forms, strict=True)
+    ]
+    names = [", ".join([*map(str, place[:-2]), found.signals[place[-2]]]) for place in places]
+    return facts_of(
+        found,
+        "",
+        Table("terms", names, tuple(columns), "signal", wide=_WIDE),
+        *(Fact(name, value=own) for name, own in arrays.items()),
+        Fact("rest", "rest, relative", found.rest, error_text(np.nanmax(found.rest, initial=0.0))),
+        time_fact(found.seconds),
+        drawn=found.frequency.size,
+    )
+
+
 def _section(section: Section) -> Facts:
     columns = [Column("t", section.t, ".6g")]
     columns += [Column(n, own, ".5g") for n, own in zip(section.names, section.z.T, strict=True)]
@@ -109,6 +134,7 @@ def _section(section: Section) -> Facts:
         "",
         _kept(section) if len(section.t) else Fact("energy_error", value=math.nan),
         Table("crossings", section.trajectory, tuple(columns), "trajectory", wide=_WIDE + 1),
+        *_proven_crossings(section),
         *silent(section, "dt trajectory t"),
         Fact("z", value=by_name(section.names, section.z.T)),
         Fact("z0", value=by_name(section.names, section.z0.T)),
@@ -116,6 +142,38 @@ def _section(section: Section) -> Facts:
         varied=section.parameters,
         given=[Fact("surface", "surface", section.surface, section.surface)],
         drawn=section.z.size,
+    )
+
+
+def _proven_crossings(section: Section) -> list[Fact]:
+    proven = section.certificate
+    if proven is None:
+        return []
+    radii = {"t": proven.t.radius, **by_name(section.names, proven.z.radius.T)}
+    found = [Fact("statement", "proven", proven.statement, proven.statement)]
+    widest = [f"{name} {error_text(own.max(initial=0.0))}" for name, own in radii.items()]
+    return [*found, Fact("radii", "largest radii", radii, ", ".join(widest))]
+
+
+def _normal_form(form: NormalForm) -> Facts:
+    names = ["*".join(f"I_{k + 1}**{n}" for k, n in enumerate(p) if n) for p in form.coefficients]
+    balls = [ball_text(ball.mid, ball.radius) for ball in form.coefficients.values()]
+    table = Table("terms", names, (Column("coefficient", balls),), "term")
+    omega = [
+        ball_text(m, r) for m, r in zip(form.frequencies.mid, form.frequencies.radius, strict=True)
+    ]
+    listed = "; ".join(str(k) for k in form.resonances[:_WIDE])
+    return Facts(
+        "NormalForm",
+        form.statement,
+        success=True,
+        verdict="proven" if form.stable else "",
+        entries=(
+            table,
+            Fact("frequencies", "frequencies", form.frequencies.mid, ", ".join(omega)),
+            Fact("resonances", "resonant terms left", form.resonances, listed),
+            Fact("domain", "estimated domain", form.domain, f"{form.domain:.3g}"),
+        ),
     )
 
 

@@ -19,14 +19,14 @@ from hamsym.facts.wording import (
     span_fact,
     units_of,
 )
-from hamsym.proof.balls import decimal, decimal_above, decimal_below
+from hamsym.proof.arithmetic.balls import decimal, decimal_above, decimal_below
 
 if TYPE_CHECKING:
     from hamsym.families.proofs import Proofs
     from hamsym.orbits.certificate import OrbitCertificate
-    from hamsym.proof.box_certificate import BoxCertificate
-    from hamsym.proof.certificate import Certificate
-    from hamsym.proof.enclose import Enclosure
+    from hamsym.proof.boxes.box_certificate import BoxCertificate
+    from hamsym.proof.windows.certificate import Certificate
+    from hamsym.proof.windows.enclose import Enclosure
 
 _BOUNDS = "bound lower energy_bound energy_lower ell_max_bound ell_max_lower"
 _THREE_DIGITS = Context(prec=3, rounding=ROUND_CEILING)
@@ -183,7 +183,9 @@ def ball_text(mid: Any, radius: Any) -> str:
     mid, radius = float(mid), float(radius)
     digits = 17
     if radius > 0 and math.isfinite(radius) and mid:
-        digits = math.ceil(math.log10(abs(mid) / radius)) + 2 if radius < abs(mid) else 2
+        digits = (
+            math.ceil(math.log10(abs(mid)) - math.log10(radius)) + 2 if radius < abs(mid) else 2
+        )
     text = f"{mid:.{min(max(digits, 2), 17)}g}"
     if not math.isfinite(radius):
         return f"{text} +- {radius}"

@@ -22,13 +22,13 @@ from hamsym.facts.wording import (
 )
 from hamsym.numerics.scales import ratios
 from hamsym.problems.conservation import KnownInvariants
-from hamsym.proof.balls import decimal
+from hamsym.proof.arithmetic.balls import decimal
 from hamsym.solution.invariant_check import judged_by_invariants
 from hamsym.support.text_tables import share
 
 if TYPE_CHECKING:
     from hamsym.families.solutions import Solutions
-    from hamsym.proof.certificate import Certificate
+    from hamsym.proof.windows.certificate import Certificate
     from hamsym.solution.solution import Solution
 
 _LONG = 2e9  # operations of an analysis that takes longer than a reader waits

@@ -137,7 +137,8 @@ def checked_observations(
         if not isinstance(key, (str, sympy.Expr)) or label in expressions:
             problem = "occurs twice" if label in expressions else "is not a formula"
             raise InputError(f"the observable {label!r} {problem}; name each once, as text")
-        expressions[label] = phase_function(key, names)
+        energy = label == "H" and "H" not in names
+        expressions[label] = phase_function(H.expr if energy else key, names)
         arrays[label] = _data(label, values, t)
     sets = {array.shape[0] for array in arrays.values() if array.ndim == 2}
     if len(sets) > 1:

@@ -303,8 +303,8 @@ class FlowMap(Drawn, Saved):
 
         The defect of the map is enclosed over the whole box by Taylor models, and what becomes of
         it by the linear equation of the error with a bound on the second order
-        (:mod:`hamsym.proof.tube`); every rounding is included. It reaches as far as the map is
-        much more accurate than the distance over which H is nonlinear, with up to four or so
+        (:mod:`hamsym.proof.boxes.tube`); every rounding is included. It reaches as far as the map
+        is much more accurate than the distance over which H is nonlinear, with up to four or so
         inputs.
 
         Parameters

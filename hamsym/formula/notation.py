@@ -27,8 +27,8 @@ class Notation:
     >>> r, l = sympy.symbols("r l")
     >>> Notation({r - l: (r, -l)}).text(-3 * (r - l) ** 3 * r)
     '-3*r*(r - l)**3'
-    >>> Notation().latex(r**2 - l)
-    'r^{2} - l'
+    >>> Notation().latex(r**2 - l), Notation().latex(r / (2 * l), fold_short_frac=True)
+    ('r^{2} - l', '\\\\frac{r}{2 l}')
     """
 
     def __init__(self, written: Orders | None = None, derived: Orders | None = None) -> None:
@@ -124,7 +124,11 @@ class _TypesetPrinter(LatexPrinter):  # type: ignore[misc]
         self._notation = notation
 
     def _print_Mul(self, expr: sympy.Expr) -> str:
-        text: str = super()._print_Mul(self._notation.with_fewer_signs(expr))
+        product, short = self._notation.with_fewer_signs(expr), self._settings["fold_short_frac"]
+        if short and sympy.fraction(product)[1].is_Mul:
+            self._settings["fold_short_frac"] = False  # x / 2 m could be meant either way
+        text: str = super()._print_Mul(product)
+        self._settings["fold_short_frac"] = short
         return text
 
     def _as_ordered_terms(self, expr: sympy.Expr, order: Any = None) -> list[sympy.Expr]:

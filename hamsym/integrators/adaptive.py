@@ -81,6 +81,28 @@ def run_odeint(
     return states[: 1 + reached], evaluations, report["message"]
 
 
+def dop853_coefficients() -> dict[str, list[Any]]:
+    """Return the coefficients of DOP853, for code in other languages.
+
+    - a, b, c: Of the twelve stages, without what is above the diagonal.
+    - e3, e5: Of the two estimates of the error.
+    - a_extra, c_extra, d: Of the continuous extension, which has three more stages.
+
+    Examples
+    --------
+    >>> found = dop853_coefficients()
+    >>> [len(found[name]) for name in ("a", "b", "c", "e3", "e5", "a_extra", "c_extra", "d")]
+    [12, 12, 12, 13, 13, 3, 3, 4]
+    """
+    method: Any = scipy.integrate.DOP853
+    arrays = {"b": method.B, "c": method.C, "e3": method.E3, "e5": method.E5}
+    arrays |= {"c_extra": method.C_EXTRA, "d": method.D}
+    found: dict[str, list[Any]] = {name: array.tolist() for name, array in arrays.items()}
+    found["a"] = [row[:stage].tolist() for stage, row in enumerate(method.A)]
+    found["a_extra"] = [row[:stage].tolist() for stage, row in enumerate(method.A_EXTRA, 13)]
+    return found
+
+
 def _rates(H: Hamiltonian) -> Callable[[float, np.ndarray], np.ndarray]:
     """The vector field with scipy's signature, (t, z)."""
     system = H.compile("numpy")

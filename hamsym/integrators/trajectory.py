@@ -370,6 +370,17 @@ class Trajectory(Drawn, Saved):
 
     # -- tables and files ------------------------------------------------------------------------
 
+    def frequencies(self, *signals: Any, count: int = 6) -> hamsym.Frequencies:
+        """Find the frequencies of the trajectory; see :func:`hamsym.frequencies`.
+
+        Examples
+        --------
+        >>> trajectory = hamsym.integrate("p**2/2 + 2*x**2", [1, 0], (0, 100), dt=0.01)
+        >>> trajectory.frequencies("x").frequency[0, :1].round(6)
+        array([2.])
+        """
+        return hamsym.frequencies(self, *signals, count=count)
+
     def to_dataframe(self, *names: Any) -> pandas.DataFrame:
         """Return the states as a table of pandas: times as index, components as columns.
 

@@ -42,6 +42,13 @@ static const ball INVERSE_FACTORIAL[] = {
   {0x1.434d2e783f5bcp-113, 0x1.0b87b91be9affp-167, 0x1.c89db1796db75p-224},
 };
 
+#define LEAST_EXPONENTIAL 1e-287 /* above exp(x) where its power of two is below -960 */
+#define REST_EXPONENTIAL 1e-9    /* above 2/13! */
+#define REST_SINE 1e-35          /* above 0.8^30/30! */
+#define REST_ERROR_FUNCTION 1e-34
+#define SLOPE (16 * UNIT) /* of the slope of a function at the end of a ball */
+#define EDGE (4 * UNIT)   /* of the arcsine's domain */
+
 static ball invalid(void) { return (ball){NAN, NAN, INFINITY}; }
 
 static double power(double x, int n) {
@@ -70,7 +77,7 @@ ball square_root(ball x) {
   pair better = two_sum(first, 0.5 * rest.high / first);
   ball q = {better.high, better.low, 0.0};
   rest = subtract(x, multiply(q, q));
-  return widened(q, absolute(rest) / (q.high - fabs(q.low)) * (1 + 8 * UNIT));
+  return widened(q, absolute(rest) / (q.high - fabs(q.low)) * (1 + GUARD));
 }
 
 ball exponential(ball x) {
@@ -78,14 +85,14 @@ ball exponential(ball x) {
   double k = floor(x.high / LOG_2.high + 0.5);
   if (k > 1000) return invalid();
   /* exp(x) < 2^-960 exp(2) < 1e-287, because x < (k + 1) log(2) + r. */
-  if (k < -960) return (ball){0.0, 0.0, 1e-287};
+  if (k < -960) return (ball){0.0, 0.0, LEAST_EXPONENTIAL};
   ball y = scaled(subtract(middle_of(x), multiply(ball_of(k), LOG_2)), 0x1p-8);
   double size = absolute(y);
   if (!(size <= 0.01)) return invalid();
   ball total = ball_of(0.0);
   for (int j = 12; j > 0; j--) total = multiply(y, add(INVERSE_FACTORIAL[j], total));
-  /* 1/13! < 2e-10, and the tail is below twice its first term. */
-  total = widened(total, power(size, 13) * 1e-9);
+  /* The tail is below twice its first term. */
+  total = widened(total, power(size, 13) * REST_EXPONENTIAL);
   for (int j = 0; j < 8; j++) total = add(scaled(total, 2.0), multiply(total, total)); /* (1 + p)^2 - 1 */
   total = scaled(add(ball_of(1.0), total), ldexp(1.0, (int)k));
   /* |exp(m + d) - exp(m)| <= exp(m) (exp(r) - 1) <= exp(m) 2 r, because r <= 1. */
@@ -104,9 +111,9 @@ void sine_cosine(ball x, ball *sine, ball *cosine) {
     c = multiply(square, add(j % 2 ? negative(even) : even, c));
     s = multiply(square, add(j % 2 ? negative(odd) : odd, s));
   }
-  /* The terms decrease with alternating signs: the rest is below 0.8^30/30! < 1e-35. */
-  c = widened(add(ball_of(1.0), c), 1e-35 + x.radius);
-  s = widened(add(y, multiply(y, s)), 1e-35 + x.radius);
+  /* The terms decrease with alternating signs: the rest is below 0.8^30/30!. */
+  c = widened(add(ball_of(1.0), c), REST_SINE + x.radius);
+  s = widened(add(y, multiply(y, s)), REST_SINE + x.radius);
   switch ((int64_t)k & 3) {
     case 0: *sine = s; *cosine = c; break;
     case 1: *sine = c; *cosine = negative(s); break;
@@ -126,8 +133,8 @@ ball logarithm(ball x) {
   ball square = multiply(z, z), cube = multiply(multiply(square, z), (ball){1.0 / 3, 0.0, UNIT});
   ball found = add(add(y, z), add(scaled(square, -0.5), cube));
   found = widened((ball){found.high, found.low, fabs(found.radius)}, power(size, 4));
-  /* |log(m + d) - log(m)| <= r / (m - r) */
-  return widened(found, x.radius > 0 ? x.radius / low * (1 + 16 * UNIT) : 0.0);
+  /* |log(m + d) - log(m)| <= r / (m - r); where m - r loses half of itself, the logarithm is far below that. */
+  return widened(found, x.radius > 0 ? x.radius / low * (1 + SLOPE) : 0.0);
 }
 
 /* The number as a ball; NaN, which no test admits, unless it is within [-2, 2]. */
@@ -147,7 +154,7 @@ ball arctangent(ball x) {
 
 ball arcsine(ball x) {
   double outer = fabs(x.high) + fabs(x.low) + x.radius;
-  if (!(outer < 1 - 4 * UNIT)) return invalid();
+  if (!(outer < 1 - EDGE)) return invalid();
   ball y = guessed_angle(value_at(hamsym_asin, x.high)), middle = middle_of(x), sine, cosine;
   sine_cosine(y, &sine, &cosine);
   ball beside = square_root(subtract(ball_of(1.0), multiply(middle, middle)));
@@ -158,8 +165,8 @@ ball arcsine(ball x) {
   if (!(size <= 1e-3)) return invalid();
   ball found = widened(add(y, z), power(size, 3));
   if (x.radius > 0) { /* the derivative is largest at the outer end */
-    double room = (1 - outer) * (1 - 8 * UNIT);
-    found = widened(found, x.radius / sqrt(room) * (1 + 16 * UNIT));
+    double room = (1 - outer) * (1 - GUARD);
+    found = widened(found, x.radius / sqrt(room) * (1 + SLOPE));
   }
   return found;
 }
@@ -195,7 +202,7 @@ ball error_function(ball x) {
     total = add(total, term);
     double size = absolute(term);
     /* From |x|^2 < n / 2 on each term is below half of the one before. */
-    if (count > 2 * absolute(square) && size < 1e-34)
+    if (count > 2 * absolute(square) && size < REST_ERROR_FUNCTION)
       return widened(multiply(widened(total, size), TWO_BY_ROOT_PI), 2 * x.radius);
   }
   return invalid();

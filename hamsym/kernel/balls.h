@@ -2,17 +2,17 @@
 
    A ball is (high, low, radius) and means the set of all x with |x - (high + low)| <= radius.
 
-   Rounding. u = 2^-53; every operation rounds to nearest, no rounding mode is changed.
+   Rounding. u = 2^-53; every operation rounds to nearest, no rounding mode is changed. Numbers in capitals are those
+   of examples/guide/how_proofs_work.md, which proves each.
 
    1. two_sum and two_product return a rounded result and its exact error (Knuth 1998, section 4.2.2, theorem B;
       Boldo & Muller 2011, section 2), apart from underflow, which is below SMALL.
-   2. With |l| <= 2u |h| for the arguments, the sum of two mid-points takes two further roundings of numbers below
-      5u (|a| + |b|), the product three of numbers below 6u |ab| and leaves out |l_a l_b| <= 4u^2 |ab|. So both
-      errors are below MIDDLE (|a| + |b|) and MIDDLE |ab|, MIDDLE = 32 u^2; Joldes, Muller & Popescu 2017
-      (theorems 3.1 and 5.1) have the sharp constants.
-   3. A radius is a sum of at most eight products of numbers >= 0; at most 16 roundings, each a factor in
-      [1 - u, 1 + u], so that (1 + 64u) times the computed number, plus SMALL, is an upper bound. Infinity and NaN
-      remain what they are and pass no test r <= bound.
+   2. With |l| <= 3u |h| for the arguments, the errors of sums and products of mid-points are below
+      MIDDLE (|a| + |b|) and MIDDLE |ab|; Joldes, Muller & Popescu 2017 (theorems 3.1 and 5.1) have the sharp
+      constants.
+   3. A radius is a sum of products of numbers >= 0 with at most 16 roundings, each a factor in [1 - u, 1 + u], so that
+      (1 + OUTWARD) times the computed number, plus SMALL, is an upper bound. Infinity and NaN remain what they are and
+      pass no test r <= bound.
    4. Products that underflow are wrong by at most 2^-1075 each, so that UNDERFLOW bounds the error of thousands.
       It is added to factors of other products, which SMALL would make too large: they may multiply a component in
       a unit of 10^200.
@@ -29,9 +29,11 @@
 #include "rows.h"
 
 #define UNIT 0x1p-53
-#define MIDDLE (32 * UNIT * UNIT)
-#define SMALL 1e-290
-#define UNDERFLOW_ERROR 0x1p-1060
+#define MIDDLE (32 * UNIT * UNIT) /* of a sum or a product of mid-points */
+#define OUTWARD (64 * UNIT)       /* of a radius */
+#define GUARD (8 * UNIT)          /* of a few operations in front of a larger bound */
+#define SMALL 1e-290              /* of operations that underflow */
+#define UNDERFLOW_ERROR 0x1p-1060 /* of products that underflow and are factors of others */
 
 typedef struct { double high, low, radius; } ball;
 
@@ -48,7 +50,7 @@ INLINE pair two_product(double a, double b) {
   return (pair){p, fma(a, b, -p)};
 }
 
-INLINE double outward(double value) { return value * (1 + 64 * UNIT) + SMALL; }
+INLINE double outward(double value) { return value * (1 + OUTWARD) + SMALL; }
 
 /* The radius, or infinity beside a mid-point that is not finite. */
 INLINE double checked(double value, double radius) { return fabs(value) < INFINITY ? radius : INFINITY; }

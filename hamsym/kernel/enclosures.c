@@ -152,6 +152,9 @@ EXPORTED int64_t hamsym_correction(const double *rows, const entry *entries, con
   return 1;
 }
 
+#define HALF (4 * UNIT) /* of the half length, whose low part is left out */
+#define CIRCLES 64      /* roundings of a circle of Gershgorin beside those of its sums */
+
 /* -- the lemma --------------------------------------------------------------------------------- */
 
 /* Coefficients of D for each component, terms + 1, and bounds on |D|; the models hold y and constants. */
@@ -166,7 +169,7 @@ EXPORTED void hamsym_defects(const series_step *program, int64_t steps, const in
     const double *high = rows->high + r * terms, *low = rows->low + r * terms;
     const double *own = rows->high + i * terms, *own_low = rows->low + i * terms;
     double error = multiply_series(&half->high, &half->low, 1, high, low, n, inner, inner_low, 1);
-    error += half->radius * norm_of(high, low, n) + rows->radius[r] * (fabs(half->high) * (1 + 4 * UNIT));
+    error += half->radius * norm_of(high, low, n) + rows->radius[r] * (fabs(half->high) * (1 + HALF));
     error = 2 * error + integrate_series(inner, inner_low, n, wide, rest, 1);
     ball begin = end_value(own, own_low, m, -1);
     double total = 0.0;
@@ -230,7 +233,7 @@ static int defects_of_flow(const lemma *s, const double *loosely, double *defect
       const double *terms_of = jacobian;
       if (j < dim) {
         double error = multiply_series(jacobian, 0, n, s->V + (j * columns + c) * terms, 0, terms, wide, rest, 0);
-        errors[own] += (1 + 8 * UNIT) * s->half * error;
+        errors[own] += (1 + GUARD) * s->half * error;
         loose[own] += loosely[e] * sizes[j * columns + c];
         used = n + terms - 1;
         terms_of = wide;
@@ -295,7 +298,7 @@ static int logarithmic_norm(const lemma *s, double *norm) {
       }
       circle += 0.5 * total;
     }
-    circle = circle + (64 + 2 * (terms + dim)) * UNIT * (spread + fabs(circle));
+    circle = circle + (CIRCLES + 2 * (terms + dim)) * UNIT * (spread + fabs(circle));
     if (!(circle < INFINITY)) circle = INFINITY;
     *norm = greater(circle, *norm);
   }
@@ -313,8 +316,8 @@ EXPORTED int64_t hamsym_lemma(const lemma *s, double *tube, double *d, double *d
   double *begun = residual + dim * columns, *reach = begun + dim, *hidden = reach + dim;
   for (long e = 0; e < count; e++) {
     double size = norm_of(s->jacobian + e * s->terms, 0, s->jacobian_length[e]) + s->jacobian_radius[e];
-    large[e] = s->half * size * (1 + 8 * UNIT) + UNDERFLOW_ERROR;
-    loosely[e] = s->half * s->jacobian_radius[e] * (1 + 8 * UNIT) + UNDERFLOW_ERROR;
+    large[e] = s->half * size * (1 + GUARD) + UNDERFLOW_ERROR;
+    loosely[e] = s->half * s->jacobian_radius[e] * (1 + GUARD) + UNDERFLOW_ERROR;
   }
   if (!defects_of_flow(s, loosely, defect, start_error, residual) || !logarithmic_norm(s, norm)) {
     free(memory);

@@ -23,12 +23,6 @@ LOGARITHM, ARCTANGENT, ARCSINE, ARCCOSINE, ARSINH, ARCOSH, ARTANH, ERROR_FUNCTIO
 REDUCED_ANGLE = 16
 
 MOST_TERMS = 64  # of a series
-UNIT = 2.0**-53
-MIDDLE = 32 * UNIT * UNIT  # rounding of the mid-point of a ball, relative to it
-TINY = 1e-290  # above all errors of operations that underflow
-# 2^-1060, above the error of a product that underflows; by its bits, which no setting of the
-# processor falsifies.
-UNDERFLOW = np.array(1 << 14, dtype=np.uint64).view(np.float64).item()
 
 #: Functions of balls, by their numbers.
 BALL_FUNCTIONS = (

@@ -16,7 +16,8 @@
 #define KEPT 8          /* windows after one that coarse nodes do not resolve, in which they are not tried */
 
 void lay_out_errors(carrying *m, arena *arena, const equations *H, const error_tables *t, const actions *a) {
-  long dim = H->dim, places = t->places, nodes = t->fine->nodes, rows = dim * EACH_VECTOR;
+  long dim = H->dim, places = t->places, nodes = t->fine->nodes, rows = dim * (t->perturbations + 2);
+  m->each = t->perturbations + 2;
   m->stride = places > nodes ? places : nodes;
   take_machine(arena, &m->velocity, H->velocity, m->stride);
   take_machine(arena, &m->force, H->force, m->stride);
@@ -26,16 +27,14 @@ void lay_out_errors(carrying *m, arena *arena, const equations *H, const error_t
   m->second = take(arena, H->hessian->results * nodes + 1);
   m->readout = take(arena, dim * t->columns);
   m->curvature = take(arena, H->hessian->results * places + 1);
-  double **of_places[] = {&m->z, &m->dz, &m->low, &m->rates, &m->disturbed, &m->pushed};
-  for (int k = 0; k < 6; k++) *of_places[k] = take(arena, dim * places);
+  double **of_places[] = {&m->z, &m->dz, &m->low, &m->rates, &m->disturbed, &m->pushed, &m->drift_inside, &m->found,
+                          &m->coefficients, &m->shown};
+  for (int k = 0; k < 10; k++) *of_places[k] = take(arena, dim * places);
   m->times = take(arena, places);
   m->late = take(arena, places);
   double **of_nodes[] = {&m->at_nodes, &m->drift, &m->smooth};
   for (int k = 0; k < 3; k++) *of_nodes[k] = take(arena, dim * nodes);
   m->node_times = take(arena, nodes);
-  double **of_inside[] = {&m->drift_inside, &m->found, &m->coefficients};
-  for (int k = 0; k < 3; k++) *of_inside[k] = take(arena, dim * t->inside);
-  m->shown = take(arena, dim * t->inside);
   m->base = take(arena, rows * nodes);
   m->drifted = take(arena, rows / 2 * nodes);
   m->vectors = take(arena, rows * nodes);
@@ -49,20 +48,30 @@ void lay_out_errors(carrying *m, arena *arena, const equations *H, const error_t
 
 /* -- the tangent equation ---------------------------------------------------------------------- */
 
-/* Write `count` components of A V from the component `row` on; V has EACH_VECTOR rows for each component. */
+/* Sums of terms of one row and source rows, for all vectors, of which there are `each`, a constant. */
+INLINE void apply_terms(const term *first, const term *end, const double *second, const double *vectors, long n,
+                        long each, double *out) {
+  for (long c = 0; c < n; c += 4) {
+    v4 sums[EACH_MOST];
+    for (long k = 0; k < each; k++) sums[k] = spread(0.0);
+    for (const term *one = first; one < end; one++) {
+      const double *source = vectors + one->source * each * n + c;
+      v4 weight = spread(one->factor) * load(second + one->entry * n + c);
+      for (long k = 0; k < each; k++) sums[k] += weight * load(source + k * n);
+    }
+    for (long k = 0; k < each; k++) store(out + k * n + c, sums[k]);
+  }
+}
+
+/* Write `count` components of A V from the component `row` on; V has a row for each component and vector. */
 static void apply(const carrying *m, const term *first, const term *end, const double *vectors, long row, long count,
                   long n, double *out) {
-  memset(out, 0, count * EACH_VECTOR * n * sizeof(double));
-  for (const term *one = first; one < end; one++) {
-    double *target = out + (one->row - row) * EACH_VECTOR * n;
-    const double *source = vectors + one->source * EACH_VECTOR * n, *second = m->second + one->entry * n;
-    for (long c = 0; c < n; c += 4) {
-      v4 weight = spread(one->factor) * load(second + c);
-      for (long k = 0; k < EACH_VECTOR; k++) {
-        double *place = target + k * n + c;
-        store(place, load(place) + weight * load(source + k * n + c));
-      }
-    }
+  for (long i = row; i < row + count; i++, out += m->each * n) {
+    const term *last = first;
+    while (last < end && last->row == i) last++;
+    if (m->each == EACH_MOST) apply_terms(first, last, m->second, vectors, n, EACH_MOST, out);
+    else apply_terms(first, last, m->second, vectors, n, EACH_FEWER, out);
+    first = last;
   }
 }
 
@@ -71,27 +80,27 @@ static void apply(const carrying *m, const term *first, const term *end, const d
 static void weigh(carrying *m, long dim, long n, double factor) {
   for (long i = 0; i < dim; i++) {
     double size = TINY;
-    for (long row = i * EACH_VECTOR; row < (i + 1) * EACH_VECTOR; row++) {
+    for (long row = i * m->each; row < (i + 1) * m->each; row++) {
       const double *values = m->vectors + row * n;
       size = larger(fabs(values[0]), larger(fabs(values[(n - 1) / 2]), larger(fabs(values[n - 1]), size)));
     }
     double weight = 1.0 / (factor * size);
-    for (long row = i * EACH_VECTOR; row < (i + 1) * EACH_VECTOR; row++) m->weight[row] = weight;
+    for (long row = i * m->each; row < (i + 1) * m->each; row++) m->weight[row] = weight;
   }
 }
 
 /* Products A V of all components. */
 static void apply_all(carrying *m, const actions *a, long dim, long n) {
   const term *middle = m->terms + a->velocities, *end = m->terms + a->terms;
-  apply(m, middle, end, m->vectors, dim / 2, dim / 2, n, m->moved + dim / 2 * EACH_VECTOR * n);
+  apply(m, middle, end, m->vectors, dim / 2, dim / 2, n, m->moved + dim / 2 * m->each * n);
   apply(m, m->terms, middle, m->vectors, 0, dim / 2, n, m->moved);
 }
 
 /* Largest last coefficients of vectors of so many components, relative to the weights. */
 static double unresolved(carrying *m, const rule *rule, long dim) {
-  products(rule->last, rule->nodes, 8, m->vectors, dim * EACH_VECTOR, m->last);
+  products(rule->last, rule->nodes, 8, m->vectors, dim * m->each, m->last);
   double found = 0.0;
-  for (long row = 0; row < dim * EACH_VECTOR; row++)
+  for (long row = 0; row < dim * m->each; row++)
     found = larger(m->weight[row] * larger(fabs(m->last[8 * row]), fabs(m->last[8 * row + 1])), found);
   return found;
 }
@@ -103,7 +112,7 @@ static int settled(double change, double last) { return change * (change < last 
 /* The tangent equation where the coordinates' rates are linear in the momenta alone: the coordinates follow from
    the forces directly, by one product in each iteration instead of two. */
 static int transport_linear(carrying *m, const rule *rule, const actions *a, long dim, double h, double accuracy) {
-  long n = rule->nodes, half = dim / 2, rows = half * EACH_VECTOR;
+  long n = rule->nodes, half = dim / 2, rows = half * m->each;
   double *slopes = m->moved + rows * n, last = 0.0;
   const term *middle = m->terms + a->velocities, *end = m->terms + a->terms;
   apply(m, m->terms, middle, m->base, 0, half, n, m->moved);
@@ -130,7 +139,7 @@ static int transport_linear(carrying *m, const rule *rule, const actions *a, lon
 
 /* Solve the tangent equation of a window for all vectors; m->moved has the products A V. */
 static int transport(carrying *m, const rule *rule, const actions *a, long dim, double h, double accuracy) {
-  long n = rule->nodes, half = dim / 2, rows = half * EACH_VECTOR;
+  long n = rule->nodes, half = dim / 2, rows = half * m->each;
   double *slopes = m->moved + rows * n, *kicked = m->vectors + rows * n, last = 0.0;
   const term *middle = m->terms + a->velocities, *end = m->terms + a->terms;
   memcpy(m->vectors, m->base, 2 * rows * n * sizeof(double));
@@ -151,13 +160,13 @@ static int transport(carrying *m, const rule *rule, const actions *a, long dim, 
 
 /* Solve it by elimination with pivots; return whether there is a finite solution. */
 static int eliminate(carrying *m, const rule *rule, const actions *a, long dim, double h) {
-  long n = rule->nodes, size = dim * n, wide = size + EACH_VECTOR;
+  long n = rule->nodes, size = dim * n, wide = size + m->each;
   double *matrix = calloc(size * wide, sizeof(double));
   if (!matrix) return 0;
   for (long row = 0; row < size; row++) {
     matrix[row * wide + row] = 1.0;
-    for (long k = 0; k < EACH_VECTOR; k++)
-      matrix[row * wide + size + k] = m->base[((row / n) * EACH_VECTOR + k) * n + row % n];
+    for (long k = 0; k < m->each; k++)
+      matrix[row * wide + size + k] = m->base[((row / n) * m->each + k) * n + row % n];
   }
   for (const term *one = m->terms; one < m->terms + a->terms; one++)
     for (long c = 0; c < n; c++)
@@ -184,11 +193,11 @@ static int eliminate(carrying *m, const rule *rule, const actions *a, long dim, 
     }
   }
   for (long row = size - 1; row >= 0 && good; row--)
-    for (long k = 0; k < EACH_VECTOR; k++) {
+    for (long k = 0; k < m->each; k++) {
       double *line = matrix + row * wide, total = line[size + k];
       for (long c = row + 1; c < size; c++) total -= line[c] * matrix[c * wide + size + k];
       line[size + k] = total / line[row];
-      m->vectors[((row / n) * EACH_VECTOR + k) * n + row % n] = line[size + k];
+      m->vectors[((row / n) * m->each + k) * n + row % n] = line[size + k];
       good = good && isfinite(line[size + k]);
     }
   free(matrix);
@@ -207,10 +216,10 @@ static int solve_at(carrying *m, const equations *H, const rule *rule, const err
   stretch(rule->node, h, w->edge[k], n, m->node_times);
   run(&m->hessian, m->at_nodes, m->node_times, n, m->second);
   products(rule->drift, t->places, n, m->pushed, dim, m->drift);
-  for (long row = 0; row < dim * EACH_VECTOR; row++) fill(m->base + row * n, joint[row], n);
+  for (long row = 0; row < dim * m->each; row++) fill(m->base + row * n, joint[row], n);
   for (long i = 0; i < dim; i++)
     for (long c = 0; c < n; c++)
-      m->base[i * EACH_VECTOR * n + c] -= m->drift[i * n + c] * (h * h / s->scale[i]);
+      m->base[i * m->each * n + c] -= m->drift[i * n + c] * (h * h / s->scale[i]);
   int solved = a->linear ? transport_linear(m, rule, a, dim, h, accuracy) : transport(m, rule, a, dim, h, accuracy);
   if (coarse) return solved && unresolved(m, rule, a->linear ? dim / 2 : dim) <= t->resolved;
   return solved || eliminate(m, rule, a, dim, h);
@@ -221,20 +230,20 @@ static int solve_at(carrying *m, const equations *H, const rule *rule, const err
 /* Write the residual of window k to m->dz, with the rates, the states and the times; return marks. */
 static int residual(carrying *m, const equations *H, const error_tables *t, const error_settings *s,
                     const windows *w, long k, double h, int exact) {
-  long dim = H->dim, places = t->places, which = k % t->sets, table = which * t->columns * places;
+  long dim = H->dim, places = t->places;
   for (long c = 0; c < w->readout; c++)
     for (long i = 0; i < dim; i++) m->readout[i * t->columns + c] = w->coefficient[(k * w->readout + c) * dim + i];
-  products(t->value + table, t->columns, places, m->readout, dim, m->z);
-  products(t->rate + table, t->columns, places, m->readout, dim, m->dz);
+  products(t->value, t->columns, places, m->readout, dim, m->z);
+  products(t->rate, t->columns, places, m->readout, dim, m->dz);
   /* A rounded table pushes every window the same way. */
   if (exact) {
-    products(t->value_low + table, t->columns, places, m->readout, dim, m->low);
+    products(t->value_low, t->columns, places, m->readout, dim, m->low);
     for (long c = 0; c < dim * places; c++) m->z[c] += m->low[c];
-    products(t->rate_low + table, t->columns, places, m->readout, dim, m->low);
+    products(t->rate_low, t->columns, places, m->readout, dim, m->low);
     for (long c = 0; c < dim * places; c++) m->dz[c] += m->low[c];
   }
   shift(m->z, w->state + k * dim, dim, places);
-  stretch(t->place + which * places, h, w->edge[k], places, m->times);
+  stretch(t->place, h, w->edge[k], places, m->times);
   evaluate(&m->velocity, &m->force, m->z, m->times, places, m->rates);
   for (long c = 0; c < dim * places; c++) m->dz[c] = m->dz[c] / h - m->rates[c];
   if (s->residual) memcpy(m->dz, s->residual + k * dim * places, dim * places * sizeof(double));
@@ -257,7 +266,8 @@ static int residual(carrying *m, const equations *H, const error_tables *t, cons
 static void disturb_vectors(carrying *m, const equations *H, const error_tables *t, const error_settings *s,
                             const windows *w, double *joint, long k, double length) {
   long dim = H->dim, places = t->places;
-  const double *signs = s->sign + (k % t->sets) * dim * places, *kicks = s->kick + (k % s->period) * dim * PERTURBATIONS;
+  long count = t->perturbations;
+  const double *signs = s->sign, *kicks = s->kick + (k % s->period) * dim * count;
   disturb(m->z, signs, places, EPS / 2, dim, places, m->low);
   disturb(m->times, signs, places, EPS / 2, 1, places, m->late);
   evaluate(&m->velocity, &m->force, m->low, m->late, places, m->disturbed);
@@ -267,54 +277,51 @@ static void disturb_vectors(carrying *m, const equations *H, const error_tables 
     double noise = __builtin_sqrt(dot(change, change, places) / places);
     /* The places average the round-off, but not independently. */
     double kick = COHERENT * length * (noise + EPS * m->speeds[i]) / __builtin_sqrt(places) / s->scale[i];
-    for (long j = 0; j < PERTURBATIONS; j++) joint[i * EACH_VECTOR + 1 + j] += kick * kicks[i * PERTURBATIONS + j];
+    for (long j = 0; j < count; j++) joint[i * m->each + 1 + j] += kick * kicks[i * count + j];
     double push = s->rounded * (EPS / 2) * (w->state[(k + 1) * dim + i] - w->state[k * dim + i]);
-    joint[(i + 1) * EACH_VECTOR - 1] += push / s->scale[i];
+    joint[(i + 1) * m->each - 1] += push / s->scale[i];
   }
 }
 
-/* Products of A and rows at the places inside, whose rows have no more; random places keep 0. */
-static void apply_inside(carrying *m, const error_tables *t, const actions *a, long dim, const double *rows, double *out) {
-  long places = t->places, inside = t->inside;
-  for (long i = 0; i < dim; i++) fill(out + i * places, 0.0, places);
-  for (const term *one = a->term; one < a->term + a->terms; one++) {
-    const double *source = rows + one->source * inside, *second = m->curvature + one->entry * places;
-    double *target = out + one->row * places;
-    for (long c = 0; c < inside; c += 4)
-      store(target + c, load(target + c) + spread(one->factor) * load(second + c) * load(source + c));
+/* Products of A and one row for each component at the places. */
+static void apply_at_places(carrying *m, const error_tables *t, const actions *a, long dim, const double *rows, double *out) {
+  const term *first = a->term, *end = a->term + a->terms;
+  for (long i = 0; i < dim; i++, out += t->places) {
+    const term *last = first;
+    while (last < end && last->row == i) last++;
+    apply_terms(first, last, m->curvature, rows, t->places, 1, out);
+    first = last;
   }
 }
 
-/* Integrals D of the residual from the start of a window to the places inside, and A D there. */
+/* Integrals D of the residual from the start of a window to the places, and A D there. */
 static void push(carrying *m, const equations *H, const error_tables *t, const actions *a) {
-  products(t->drift_inside, t->places, t->inside, m->dz, H->dim, m->drift_inside);
+  products(t->drift, t->places, t->places, m->dz, H->dim, m->drift_inside);
   run(&m->hessian, m->z, m->times, t->places, m->curvature);
-  apply_inside(m, t, a, H->dim, m->drift_inside, m->pushed);
+  apply_at_places(m, t, a, H->dim, m->drift_inside, m->pushed);
 }
 
 /* Whether what the linear equation lacks changes an error of this size by little. */
 static int is_linear(carrying *m, const equations *H, const error_tables *t, const actions *a, const error_settings *s,
                      double length, double size) {
-  long dim = H->dim, places = t->places, inside = t->inside;
-  memcpy(m->low, m->z, dim * places * sizeof(double));
-  for (long i = 0; i < dim; i++)
-    for (long c = 0; c < inside; c++) m->low[i * places + c] += m->found[i * inside + c];
+  long dim = H->dim, places = t->places;
+  for (long c = 0; c < dim * places; c++) m->low[c] = m->z[c] + m->found[c];
   evaluate(&m->velocity, &m->force, m->low, m->times, places, m->disturbed);
-  apply_inside(m, t, a, dim, m->found, m->low);
+  apply_at_places(m, t, a, dim, m->found, m->low);
   for (long c = 0; c < dim * places; c++) m->disturbed[c] -= m->rates[c] + m->low[c];
-  products(t->drift_inside, places, inside, m->disturbed, dim, m->shown);
+  products(t->drift, places, places, m->disturbed, dim, m->shown);
   int linear = 1;
   for (long i = 0; i < dim; i++)
-    linear = linear && length * row_size(m->shown + i * inside, inside) <= CURVED * size * s->scale[i];
+    linear = linear && length * row_size(m->shown + i * places, places) <= CURVED * size * s->scale[i];
   return linear;
 }
 
 /* Write the error inside a window to m->found; return its size in units of the scale. */
 static double find_error(carrying *m, const equations *H, const error_tables *t, const rule *rule,
                          const error_settings *s, double h) {
-  long dim = H->dim, n = rule->nodes, count = t->inside;
+  long dim = H->dim, n = rule->nodes, count = t->places;
   for (long i = 0; i < dim; i++)
-    for (long c = 0; c < n; c++) m->smooth[i * n + c] = m->vectors[i * EACH_VECTOR * n + c] * s->scale[i];
+    for (long c = 0; c < n; c++) m->smooth[i * n + c] = m->vectors[i * m->each * n + c] * s->scale[i];
   products(rule->lift, n, count, m->smooth, dim, m->found);
   for (long c = 0; c < dim * count; c++) m->found[c] -= h * m->drift_inside[c];
   double size = 0.0;
@@ -325,19 +332,19 @@ static double find_error(carrying *m, const equations *H, const error_tables *t,
 /* Add the error inside window k and the round-off to the results. Returns whether it is finite. */
 static int inside(carrying *m, const equations *H, const error_tables *t, const rule *rule, const error_settings *s,
                   error_results *r, long k, double length) {
-  long dim = H->dim, n = rule->nodes, count = t->inside;
+  long dim = H->dim, n = rule->nodes, count = t->places;
   products(t->dense, count, count, m->found, dim, m->shown);
   for (long i = 0; i < dim; i++) {
-    const double *vectors = m->vectors + i * EACH_VECTOR * n;
+    const double *vectors = m->vectors + i * m->each * n;
     v4 most = spread(0.0);
     for (long c = 0; c < n; c += 4) {
       v4 total = spread(0.0);
-      for (long j = 1; j <= PERTURBATIONS; j++) total += load(vectors + j * n + c) * load(vectors + j * n + c);
+      for (long j = 1; j <= t->perturbations; j++) total += load(vectors + j * n + c) * load(vectors + j * n + c);
       most = larger4(total, most);
     }
-    double largest = largest4(most), last = row_size(vectors + (EACH_VECTOR - 1) * n, n);
-    /* Three standard deviations, at worst in the window, and the rounding of z^ itself. */
-    double floor = s->scale[i] * (3.0 * __builtin_sqrt(largest / PERTURBATIONS) + last) + EPS / 2 * m->tops[i];
+    double largest = largest4(most), last = row_size(vectors + (m->each - 1) * n, n);
+    /* Some standard deviations, at worst in the window, and the rounding of z^ itself. */
+    double floor = s->scale[i] * (t->deviations * __builtin_sqrt(largest / t->perturbations) + last) + EPS / 2 * m->tops[i];
     double top = larger(row_size(m->shown + i * count, count), row_size(m->found + i * count, count));
     double peak = MISSED * top + OSCILLATING * length * row_size(m->drift_inside + i * count, count) + floor;
     if (!(peak < INFINITY)) return 0;
@@ -354,7 +361,7 @@ static int inside(carrying *m, const equations *H, const error_tables *t, const 
 /* Estimate the error of windows from *first to before `end`; *first becomes the first that is not estimated. */
 int carry_errors(carrying *m, const equations *H, const error_tables *t, const actions *a, const error_settings *s,
                  const windows *w, const double *jumps, error_results *r, long *first, long end) {
-  long dim = H->dim, rows = dim * EACH_VECTOR, coarse_from = *first;
+  long dim = H->dim, rows = dim * m->each, coarse_from = *first;
   double *joint = r->joint;
   set_parameters(&m->velocity, s->parameters, m->stride);
   set_parameters(&m->force, s->parameters, m->stride);
@@ -392,7 +399,7 @@ int carry_errors(carrying *m, const equations *H, const error_tables *t, const a
     for (long i = 0; i < dim; i++) {
       double through = dot(m->dz + i * t->places, t->drift_end, t->places);
       through += h * dot(m->pushed + i * t->places, t->drift_end, t->places);
-      joint[i * EACH_VECTOR] += (jumps[k * dim + i] - h * through) / s->scale[i];
+      joint[i * m->each] += (jumps[k * dim + i] - h * through) / s->scale[i];
     }
     for (long row = 0; row < rows; row++)
       if (!(fabs(joint[row]) <= LARGEST)) return LOST;

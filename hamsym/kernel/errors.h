@@ -18,11 +18,13 @@
 /* All windows estimated; errors as large as the motion, or not finite; a window without a solution. */
 enum error_outcome { DONE, LOST, STUCK, NO_ROOM };
 /* Marks of windows: the residual is large relative to the rates, or exceeds its limit; the error is so large
-   that its equation is not linear. */
-enum mark { UNRESOLVED = 1, EXCESSIVE = 2, BENT = 4 };
+   that its equation is not linear; the residual is not bounded. */
+enum mark { UNRESOLVED = 1, EXCESSIVE = 2, BENT = 4, UNBOUNDED = 8 };
 
-#define PERTURBATIONS 4 /* random vectors that represent round-off */
-#define EACH_VECTOR (PERTURBATIONS + 2)
+/* Vectors of the error: itself, random ones that represent round-off, of which there are four or two, and one in the
+   direction of the motion. */
+#define EACH_MOST 6
+#define EACH_FEWER 4
 #define SLACK 10.0      /* times the residual that the march allows at its own places */
 
 /* Nodes of the tangent equation: with `drift`, the integral of values at the places, without what it has beyond the
@@ -35,9 +37,10 @@ typedef struct {
 
 /* Tables of the estimate; see hamsym/random_features/error_estimate.py. */
 typedef struct {
-  int64_t columns, sets, places, inside;
+  int64_t columns, places, perturbations;
+  double deviations; /* standard deviations that round-off may have, as the perturbations show them */
   double resolved; /* times the accuracy of the vectors: their last coefficients at the coarse nodes, at most */
-  const double *place, *value, *value_low, *rate, *rate_low, *drift_inside, *drift_end, *to_series, *dense;
+  const double *place, *value, *value_low, *rate, *rate_low, *drift, *drift_end, *to_series, *dense;
   const rule *coarse, *fine;
 } error_tables;
 
@@ -63,14 +66,14 @@ typedef struct {
 typedef struct {
   double *joint;         /* vectors at the start of a window, by component */
   double *history;       /* integral of the root of the error, and the error in the last window */
-  double *series;        /* windows x inside x dim, or null: Chebyshev series of the error */
+  double *series;        /* windows x places x dim, or null: Chebyshev series of the error */
   double *floor;         /* windows x dim, or null: accumulated round-off */
   double *largest;       /* dim: error and round-off so far */
   int64_t *mark;
 } error_results;
 
 typedef struct {
-  long stride;
+  long stride, each; /* vectors of each component */
   machine velocity, force, hessian;
   term *terms;           /* in units of the scale */
   v4 *changes;

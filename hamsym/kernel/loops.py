@@ -27,12 +27,9 @@ DONE, LOST, STUCK, _NO_ROOM = range(4)
 # Verdicts on members: the checks of the loop passed; left to the caller.
 ACCEPTED, LEFT = range(2)
 # Marks of windows: the residual is large relative to the rates, or exceeds its limit; the error is
-# so large that its equation is not linear.
-UNRESOLVED, EXCESSIVE, BENT = 1, 2, 4
+# so large that its equation is not linear; the residual is not bounded.
+UNRESOLVED, EXCESSIVE, BENT, UNBOUNDED = 1, 2, 4, 8
 
-PERTURBATIONS = 4  # random vectors that represent round-off
-#: Vectors of the error: itself, the perturbations, and one in the direction of the motion.
-VECTORS = PERTURBATIONS + 2
 LANES = 8  # rows have a multiple of these numbers
 
 #: (states (dim, n), times (n,), parameters (k,), out (results, n)), which writes to out.
@@ -47,10 +44,11 @@ _SIGNATURES = {
     "hamsym_first_length": "d pppppdd",
     "hamsym_march": "i pppppi",
     "hamsym_errors": "i ppppppppi",
-    "hamsym_members": "i ppppppippippp",
+    "hamsym_members": "i pppppppippippp",
     "hamsym_models": "i ppipppipp",
     "hamsym_residual_bounds": "i pppipppppipp",
-    "hamsym_resolved": "i ppppp",
+    "hamsym_bounded": "i pppp",
+    "hamsym_discs": "i pppp",
     "hamsym_piece": "i pippiip",
 }
 #: A pointer, also to numbers (p), integers (n) or a structure (s), where that is checked; an
@@ -78,9 +76,10 @@ def typed(found: ctypes.CDLL, name: str, signature: str) -> Any:
 
 def address(array: np.ndarray) -> int:
     """Return where the numbers of an array are, in a quarter of the time of ``array.ctypes``."""
-    if array.size and array.flags.writeable and array.flags.c_contiguous:
-        return ctypes.addressof(ctypes.c_char.from_buffer(array.data))
-    return int(array.ctypes.data)
+    try:
+        return ctypes.addressof(ctypes.c_char.from_buffer(array))
+    except (TypeError, ValueError, BufferError):  # it is read only, empty, or has gaps
+        return int(array.ctypes.data)
 
 
 class Record(ctypes.Structure):
@@ -309,15 +308,15 @@ class ErrorTables(Record):
     """Tables of a basis for the estimate."""
 
     _fields_ = [
-        *counts("columns sets places inside"),
-        *numbers("resolved"),
-        *arrays("place value value_low rate rate_low drift_inside drift_end to_series dense"),
+        *counts("columns places perturbations"),
+        *numbers("deviations resolved"),
+        *arrays("place value value_low rate rate_low drift drift_end to_series dense"),
         *arrays("coarse fine"),
     ]
 
     def __init__(self, **values: Any) -> None:
         super().__init__(**values)
-        self._require_lanes("places inside")
+        self._require_lanes("places")
 
 
 #: Term of A V: row += factor * second derivative * source row.
@@ -366,13 +365,19 @@ class Members(Record):
     ]
 
 
+class BoundTables(Record):
+    """Tables of the bounds of windows, with the columns of their basis at places."""
+
+    _fields_ = [*counts("columns"), *arrays("models around places values rates series")]
+
+
 class Pieces(Record):
-    """Windows, which need not follow each other, with the columns of their basis at places."""
+    """Windows, which need not follow each other."""
 
     _fields_ = [
-        *counts("windows readout columns size_stride parameter_stride"),
+        *counts("windows readout size_stride parameter_stride"),
         *numbers("tolerance"),
-        *arrays("start end state coefficient size parameters places values rates"),
+        *arrays("start end state coefficient size parameters"),
     ]
 
 
@@ -440,6 +445,7 @@ def solve_members(
     tables: Tables,
     error_tables: ErrorTables,
     actions: Actions,
+    bounds: BoundTables | None,
     span: Span,
     signs: np.ndarray,
     disturbances: np.ndarray,
@@ -450,7 +456,8 @@ def solve_members(
 ) -> int:
     """Solve members until the room for windows is full; return how many were solved."""
     done = library().hamsym_members(
-        *map(ctypes.byref, (H, tables, error_tables, actions, span)),
+        *map(ctypes.byref, (H, tables, error_tables, actions)),
+        *(bounds and ctypes.byref(bounds), ctypes.byref(span)),
         *(signs.ctypes.data, signs.shape[1], disturbances.ctypes.data, kicks.ctypes.data),
         *(len(kicks), starts.ctypes.data, parameters.ctypes.data, ctypes.byref(members)),
     )

@@ -5,6 +5,7 @@
    on the others. */
 
 #include "errors.h"
+#include "models.h"
 #include <stdlib.h>
 
 #define ATTEMPTS 3        /* marches of a member, each to a tighter local tolerance */
@@ -83,14 +84,16 @@ static int keeps_energy(machine *energy, marching *m, const equations *H, const 
   return 1;
 }
 
-/* Solve members until the room for windows is full; return how many were solved, -1 without memory. */
+/* Solve members until the room for windows is full; return how many were solved, -1 without memory. Without tables b no
+   window needs a bound; what is not bounded is left to the caller, with a mark. */
 EXPORTED int64_t hamsym_members(const equations *H, const tables *t, const error_tables *e, const actions *a,
-                                const span *span, const double *signs, int64_t width, const double *disturbances,
+                                const bound_tables *b, const span *span, const double *signs, int64_t width, const double *disturbances,
                                 const double *kicks, int64_t period, const double *starts, const double *parameters,
                                 members *r) {
-  long dim = H->dim, many = H->velocity->parameters, vectors = dim * EACH_VECTOR;
+  long dim = H->dim, many = H->velocity->parameters, vectors = dim * (e->perturbations + 2);
   marching m;
   carrying c;
+  bounding bounds;
   machine energy;
   double *found, *tail, *floors, *scale, *joint, *jumps, *rates;
   arena arena = {0, 0};
@@ -98,6 +101,7 @@ EXPORTED int64_t hamsym_members(const equations *H, const tables *t, const error
     arena.used = 0;
     lay_out_march(&m, &arena, H, t);
     lay_out_errors(&c, &arena, H, e, a);
+    if (b) lay_out_bounds(&bounds, &arena, H, b);
     if (H->energy) take_machine(&arena, &energy, H->energy, 8);
     found = take(&arena, dim * t->nodes);
     tail = take(&arena, dim * t->terms);
@@ -152,7 +156,7 @@ EXPORTED int64_t hamsym_members(const equations *H, const tables *t, const error
       for (long i = 0; i < dim; i++) scale[i] = size[i] > 0.0 ? size[i] : 1.0;
       error_settings es = {period, 0, s.tolerance, span->accuracy / greater(count, span->fewest), squares / whole, span->rounded,
                            scale, size, disturbances, kicks, values, 0};
-      error_results er = {joint, history, r->series ? r->series + done * e->inside * dim : 0,
+      error_results er = {joint, history, r->series ? r->series + done * e->places * dim : 0,
                           r->floor ? r->floor + done * dim : 0, largest, r->mark + done};
       joint_errors(&w, t, dim, count, jumps);
       memset(joint, 0, vectors * sizeof(double));
@@ -175,6 +179,10 @@ EXPORTED int64_t hamsym_members(const equations *H, const tables *t, const error
           good = keeps_energy(&energy, &m, H, &w, count, s.tolerance, size);
         }
         if (good) verdict = ACCEPTED;
+        for (long k = 0; good && b && k < count; k++)
+          if (!is_bounded(&bounds, H, b, span->local, w.edge[k], w.edge[k + 1], w.state + k * dim,
+                          w.coefficient + k * w.readout * dim, w.readout, size, values))
+            er.mark[k] |= UNBOUNDED;
         break;
       }
       if (s.tolerance <= span->smallest || !(excess < INFINITY)) break;
@@ -189,6 +197,7 @@ EXPORTED int64_t hamsym_members(const equations *H, const tables *t, const error
     r->excess[member] = excess;
     done += count;
   }
+  if (b) free(bounds.row);
   free(arena.memory);
   return member;
 }

@@ -1,6 +1,5 @@
 #include "models.h"
 #include "functions.h"
-#include "march.h"
 #include <stdlib.h>
 
 #define MIDDLE (PLACES / 2)
@@ -8,6 +7,8 @@
 #define BETWEEN 1.3807442564004246 /* a polynomial exceeds its values by this factor at most (Ehlich & Zeller 1964) */
 #define PI 3.141592653589793
 #define SMALLEST 5e-324            /* what underflows to zero */
+#define LEBESGUE 3.7                /* a polynomial through values at the places is larger by this factor at most */
+#define MOST_SHARES 4.0             /* of the limit of a window, that all its parts may use; see hamsym/bounds/residual.py */
 #define ROUNDED 4.0                /* times the rounding of models that is left out of a residual */
 
 typedef void row_function(const double *x, double *out, long n);
@@ -690,45 +691,84 @@ EXPORTED int64_t hamsym_residual_bounds(const program *velocity, const program *
   return 1;
 }
 
-/* Windows, which need not follow each other, with the columns of their basis at the places. */
+void lay_out_bounds(bounding *m, arena *arena, const equations *H, const bound_tables *t) {
+  long dim = H->dim, size = dim * PLACES;
+  take_machine(arena, &m->velocity, H->velocity, PLACES);
+  take_machine(arena, &m->force, H->force, PLACES);
+  m->disc = (disc *)take(arena, discs_size(H->velocity, H->force));
+  double **of_places[] = {&m->z, &m->rates, &m->found};
+  for (int k = 0; k < 3; k++) *of_places[k] = take(arena, size);
+  m->times = take(arena, PLACES);
+  m->readout = take(arena, dim * t->columns);
+  m->series = take(arena, dim * t->around->terms);
+  m->memory = take(arena, dim * DISCS);
+  double **small[] = {&m->bounds, &m->rounding, &m->limits};
+  for (int k = 0; k < 3; k++) *small[k] = take(arena, dim);
+  m->row = 0;
+}
+
+/* Whether a bound of the residual of a window as a whole is within its limit: that of its values at the places and of
+   the formulas in discs, or else that of its models. */
+int is_bounded(bounding *m, const equations *H, const bound_tables *t, double tolerance, double start, double end,
+               const double *state, const double *coefficient, long count, const double *sizes,
+               const double *parameters) {
+  long dim = H->dim, terms = t->around->terms;
+  double h = end - start, length = fabs(h);
+  for (long k = 0; k < count; k++)
+    for (long i = 0; i < dim; i++) m->readout[i * t->columns + k] = coefficient[k * dim + i];
+  products(t->values, t->columns, PLACES, m->readout, dim, m->z);
+  shift(m->z, state, dim, PLACES);
+  products(t->rates, t->columns, PLACES, m->readout, dim, m->rates);
+  for (long c = 0; c < dim * PLACES; c++) m->rates[c] /= h;
+  stretch(t->places, h, start, PLACES, m->times);
+  products(t->series, t->columns, terms, m->readout, dim, m->series);
+  for (long i = 0; i < dim; i++) m->series[i * terms] += state[i];
+  trial_discs(t->around, m->series, dim, start, h, m->memory, m->disc);
+  run_discs(H->velocity, parameters, m->disc, m->bounds);
+  run_discs(H->force, parameters, m->disc, m->bounds + H->velocity->results);
+  set_parameters(&m->velocity, parameters, PLACES);
+  set_parameters(&m->force, parameters, PLACES);
+  evaluate(&m->velocity, &m->force, m->z, m->times, PLACES, m->found);
+  int good = 1;
+  for (long i = 0; i < dim; i++) {
+    double *rates = m->rates + i * PLACES, *found = m->found + i * PLACES;
+    m->limits[i] = tolerance * sizes[i] + ROUND_OFF * length * row_size(rates, PLACES);
+    for (long c = 0; c < PLACES; c++) found[c] -= rates[c];
+    double most = LEBESGUE * row_size(found, PLACES) + t->around->share * m->bounds[i];
+    good = good && most * length <= MOST_SHARES * greater(m->limits[i], TINY) && m->limits[i] < INFINITY;
+  }
+  if (good) return 1;
+  if (!m->row) m->row = rows_of(H->velocity, H->force);
+  if (!m->row) return 0;
+  bound_residual(H->velocity, H->force, t->models, m->z, m->rates, m->times, start, end, parameters, m->row, m->bounds,
+                 m->rounding);
+  for (long i = 0; i < dim; i++)
+    if (!(m->bounds[i] * length <= greater(m->limits[i], TINY) && m->limits[i] < INFINITY)) return 0;
+  return 1;
+}
+
+/* Windows, which need not follow each other. */
 typedef struct {
-  int64_t windows, readout, columns, size_stride, parameter_stride;
+  int64_t windows, readout, size_stride, parameter_stride;
   double tolerance;
   const double *start, *end, *state, *coefficient, *size, *parameters;
-  const double *places, *values, *rates; /* places in [0, 1]; columns x PLACES each */
 } pieces;
 
-/* Whether the bound of the residual of each window as a whole is within its limit. */
-EXPORTED int64_t hamsym_resolved(const program *velocity, const program *force, const model_tables *t,
-                                 const pieces *w, int8_t *resolved) {
-  long dim = velocity->dim, size = dim * PLACES;
-  model *row = rows_of(velocity, force);
-  double *memory = calloc(2 * size + PLACES + dim * w->columns + 2 * dim, sizeof(double));
-  double *z = memory, *rates = z + size, *times = rates + size, *readout = times + PLACES;
-  double *bounds = readout + dim * w->columns;
-  for (long k = 0; k < w->windows && row && memory; k++) {
-    double h = w->end[k] - w->start[k], length = fabs(h);
-    for (long m = 0; m < w->readout; m++)
-      for (long i = 0; i < dim; i++) readout[i * w->columns + m] = w->coefficient[(k * w->readout + m) * dim + i];
-    products(w->values, w->columns, PLACES, readout, dim, z);
-    shift(z, w->state + k * dim, dim, PLACES);
-    products(w->rates, w->columns, PLACES, readout, dim, rates);
-    for (long c = 0; c < size; c++) rates[c] /= h;
-    stretch(w->places, h, w->start[k], PLACES, times);
-    bound_residual(velocity, force, t, z, rates, times, w->start[k], w->end[k],
-                   w->parameters + k * w->parameter_stride, row, bounds, bounds + dim);
-    int good = 1;
-    for (long i = 0; i < dim; i++) {
-      double speed = row_size(rates + i * PLACES, PLACES);
-      double limit = w->tolerance * w->size[k * w->size_stride + i] + ROUND_OFF * length * speed;
-      good = good && bounds[i] * length <= greater(limit, TINY) && limit < INFINITY;
-    }
-    resolved[k] = good;
-  }
-  int done = row && memory;
-  free(row);
-  free(memory);
-  return done;
+/* Which windows are bounded. */
+EXPORTED int64_t hamsym_bounded(const equations *H, const bound_tables *t, const pieces *w, int8_t *bounded) {
+  bounding m;
+  arena arena = {0, 0};
+  lay_out_bounds(&m, &arena, H, t);
+  if (!(arena.memory = calloc(arena.used, sizeof(double)))) return 0;
+  arena.used = 0;
+  lay_out_bounds(&m, &arena, H, t);
+  for (long k = 0; k < w->windows; k++)
+    bounded[k] = is_bounded(&m, H, t, w->tolerance, w->start[k], w->end[k], w->state + k * H->dim,
+                            w->coefficient + k * w->readout * H->dim, w->readout, w->size + k * w->size_stride,
+                            w->parameters + k * w->parameter_stride);
+  free(m.row);
+  free(arena.memory);
+  return 1;
 }
 
 /* Models of the results of a program on intervals: values parts x results x PLACES; error, rounding and range

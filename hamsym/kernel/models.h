@@ -14,7 +14,8 @@
 #ifndef HAMSYM_MODELS_H
 #define HAMSYM_MODELS_H
 
-#include "program.h"
+#include "discs.h"
+#include "march.h"
 
 #define DEGREE 31
 #define PLACES 64
@@ -37,5 +38,27 @@ typedef struct {
   double low, high; /* bounds on the function */
   int constant;     /* a number, which is `low`, exactly */
 } model;
+
+/* Tables of the bounds of windows. */
+typedef struct {
+  int64_t columns;
+  const model_tables *models;
+  const disc_tables *around;
+  const double *places, *values, *rates; /* places in [0, 1]; columns x PLACES each */
+  const double *series;                  /* columns x terms */
+} bound_tables;
+
+/* Memory of the bounds of a window; the rows of models are laid out when they are needed first. */
+typedef struct {
+  machine velocity, force;
+  disc *disc;
+  model *row;
+  double *z, *rates, *found, *times, *readout, *series, *memory, *bounds, *rounding, *limits;
+} bounding;
+
+void lay_out_bounds(bounding *m, arena *arena, const equations *H, const bound_tables *t);
+int is_bounded(bounding *m, const equations *H, const bound_tables *t, double tolerance, double start, double end,
+               const double *state, const double *coefficient, long count, const double *sizes,
+               const double *parameters);
 
 #endif

@@ -62,7 +62,7 @@ double multiply_series(const double *ah, const double *al, long na, const double
     long n = lesser(i + 1, nb), skipped = nb - n;
     double x = 0.5 * ah[i];
     if (!twice) {
-      size += (2 + 3 * (i + 1)) * fabs(ah[i]);
+      size += (PER_PRODUCT + PER_SUM * (i + 1)) * fabs(ah[i]);
       if (x == 0) continue;
       add_times(x, bh, nb, oh + i);
       add_times(x, back + skipped, n, oh + i + 1 - n);
@@ -81,7 +81,7 @@ double multiply_series(const double *ah, const double *al, long na, const double
     pair sum = two_sum(oh[k], ol[k]);
     oh[k] = sum.high, ol[k] = sum.low;
   }
-  return finished(oh, ol, count, 80 * UNIT * UNIT * size * other + HALVING * other);
+  return finished(oh, ol, count, PRODUCT_TWICE * size * other + HALVING * other);
 }
 
 /* The integral from -1, in count + 1 terms. */
@@ -105,7 +105,7 @@ double integrate_series(const double *ch, const double *cl, long count, double *
   value = two_sum(value.high, value.low);
   oh[0] = value.high;
   ol[0] = twice ? value.low : 0.0;
-  return up((twice ? 128 * UNIT * UNIT : 10 * UNIT) * norm_of(ch, cl, count));
+  return up((twice ? INTEGRAL_TWICE : INTEGRAL) * norm_of(ch, cl, count));
 }
 
 /* The derivative, in count - 1 terms, at least one; a bound on its rounding errors. */
@@ -125,7 +125,7 @@ static double differentiate_series(const double *ch, const double *cl, long coun
   }
   oh[0] *= 0.5;
   ol[0] *= 0.5;
-  return up((twice ? 64 * UNIT * UNIT : 4 * UNIT) * weight);
+  return up((twice ? DERIVATIVE_TWICE : DERIVATIVE) * weight);
 }
 
 ball end_value(const double *high, const double *low, long count, int end) {
@@ -139,7 +139,7 @@ ball end_value(const double *high, const double *low, long count, int end) {
     small += (k + 1) * fabs(l);
   }
   pair sum = two_sum(value, rest);
-  return (ball){sum.high, sum.low, up((count + 2) * UNIT * (UNIT * weight + small))};
+  return (ball){sum.high, sum.low, up((count + AT_END) * UNIT * (UNIT * weight + small))};
 }
 
 /* The size of the terms beyond the rows. */
@@ -357,7 +357,7 @@ static void exponential_model(const series_rows *rows, model f, int twice, model
   set_slope(f, twice, &rate);
   apply_table(rows->values, f.high, n, terms, points);
   at_points(hamsym_exp, points, points, terms);
-  double spread = up(2 * (norm(f) - fabs(f.high[0]) * (1 - 8 * UNIT))), radius = *f.radius;
+  double spread = up(2 * (norm(f) - fabs(f.high[0]) * (1 - GUARD))), radius = *f.radius;
   ball head = exponential(end_value(f.high, f.low, n, -1)), apart = head;
   double grown = absolute(exponential(ball_of(spread < 1e6 ? spread : 1e6)));
   long count = guess(rows, points, n == 1, twice, out);

@@ -9,15 +9,15 @@
    size of at most S_i after term i, and each coefficient takes at most three additions in each term. So the rounding
    errors sum up to at most
 
-       2u ||a|| ||b|| + 3u sum_i S_i = u (2 ||a|| + 3 sum_i (i + 1) |a_i|) ||b||.
+       PER_PRODUCT u ||a|| ||b|| + PER_SUM u sum_i S_i = u (2 ||a|| + 3 sum_i (i + 1) |a_i|) ||b||.
 
    In twice float64 the sums of high parts are exact but for what goes to the low parts, whose size after term i is at
-   most 13u sum_{m>=i} S_m; its roundings, and products of low parts, which are left out, sum up to at most
-   80 u^2 sum_i (i + 1)(i + 2)/2 |a_i| ||b||. A factor 1 + 2^-20 covers terms of second order and the roundings of
-   the bounds themselves, sums of fewer than 2^30 numbers >= 0. Terms beyond the rows go to the radius.
+   most 10u sum_{m>=i} S_m; its roundings, and products of low parts, which are left out, sum up to at most
+   PRODUCT_TWICE sum_i (i + 1)(i + 2)/2 |a_i| ||b||. A factor 1 + SECOND_ORDER covers terms of second order and the
+   roundings of the bounds themselves, sums of fewer than 2^30 numbers >= 0. Terms beyond the rows go to the radius.
 
-   Integral from -1: 10u ||c||, or 128 u^2 ||c||, bounds its roundings: c_k = (c_k-1 - c_k+1)/(2k) takes two, and the
-   value at -1 sums k |c_k| <= (|c_k-1| + |c_k+1|)/2.
+   Integral from -1: INTEGRAL ||c||, or INTEGRAL_TWICE ||c||, bounds its roundings: c_k = (c_k-1 - c_k+1)/(2k) takes
+   two, and the value at -1 sums k |c_k| <= (|c_k-1| + |c_k+1|)/2.
 
    Functions. A polynomial q that interpolates the function at Chebyshev points is a guess. It is proven afterwards,
    by a residual:
@@ -41,7 +41,16 @@
 #include "balls.h"
 
 #define MOST_TERMS 64
-#define HALVING 1e-321 /* error of halving the numbers of a series, which may be subnormal */
+#define HALVING 1e-321        /* of halves of the numbers of a series, which may be subnormal */
+#define SECOND_ORDER 0x1p-20  /* of a bound that is computed in float64 */
+#define PER_PRODUCT 2         /* u for each product of two coefficients, */
+#define PER_SUM 3             /* and for each sum of products */
+#define PRODUCT_TWICE (80 * UNIT * UNIT)
+#define INTEGRAL (10 * UNIT)
+#define INTEGRAL_TWICE (128 * UNIT * UNIT)
+#define DERIVATIVE (4 * UNIT)
+#define DERIVATIVE_TWICE (64 * UNIT * UNIT)
+#define AT_END 2              /* roundings of a value at an end beside one for each term */
 
 enum series_operation {
   SUM, DIFFERENCE, OPPOSITE, PRODUCT, INVERSE, INVERSE_ROOT, EXPONENTIAL, SINE_COSINE,
@@ -60,13 +69,13 @@ typedef struct {
 } series_rows;
 
 /* An upper bound in spite of the roundings of a sum of numbers >= 0. */
-INLINE double up(double value) { return value * (1 + 0x1p-20) + SMALL; }
+INLINE double up(double value) { return value * (1 + SECOND_ORDER) + SMALL; }
 
 /* ||P||, rounded up; low parts may be missing. */
 static inline double norm_of(const double *high, const double *low, long count) {
   double total = 0.0;
   for (long k = 0; k < count; k++) total += fabs(high[k]) + (low ? fabs(low[k]) : 0.0);
-  return total * (1 + 2 * (count + 8) * UNIT);
+  return total * (1 + 2 * (count * UNIT + GUARD));
 }
 
 /* out = vector table, the table with n columns; with the same bits for every n. */

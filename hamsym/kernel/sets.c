@@ -3,6 +3,11 @@
 #include "series.h"
 #include <stdlib.h>
 
+#define PER_SUM_OF_MATRICES 2          /* roundings of an entry beside one for each product */
+#define PER_LAYER (8 * UNIT * UNIT)    /* of a low part, for each pair of inputs */
+#define PER_READOUT (2 * UNIT * UNIT)  /* the same of exact factors */
+#define MORE 8                         /* inputs that stand for what is done once */
+
 /* a b, n x k and k x m, and a bound on its rounding errors, entry by entry. */
 static void matrix_product(const double *a, const double *b, long n, long k, long m, double *found, double *error) {
   memset(found, 0, n * m * sizeof *found);
@@ -15,7 +20,7 @@ static void matrix_product(const double *a, const double *b, long n, long k, lon
         error[i * m + j] += fabs(x) * fabs(b[h * m + j]);
       }
     }
-  for (long place = 0; place < n * m; place++) error[place] = up((k + 2) * UNIT * error[place]);
+  for (long place = 0; place < n * m; place++) error[place] = up((k + PER_SUM_OF_MATRICES) * UNIT * error[place]);
 }
 
 /* J C rounded, n x columns, and bounds on the rest of (J +- J_error) C r with |r| <= r0, n x kinds; J is n x k. */
@@ -220,7 +225,7 @@ EXPORTED void hamsym_dense(const double *weights, const double *bias, int64_t ou
         size += fabs(high[k]) + fabs(low[k]);
       }
       /* Each low part is a sum of at most `inputs` errors. */
-      error += fabs(w) * (f->radius[j] + (inputs + 8) * (inputs + 8) * 8 * UNIT * UNIT * size);
+      error += fabs(w) * (f->radius[j] + (inputs + MORE) * (inputs + MORE) * PER_LAYER * size);
     }
     pair first = two_sum(oh[0], bias[i]);
     oh[0] = first.high;
@@ -293,7 +298,7 @@ EXPORTED void hamsym_exact_products(const double *series, const double *readout,
       }
       pair sum = two_sum(h, m);
       high[row * columns + i] = sum.high, low[row * columns + i] = sum.low;
-      error[i] += (inner + 8) * (inner + 8) * 2 * UNIT * UNIT * size;
+      error[i] += (inner + MORE) * (inner + MORE) * PER_READOUT * size;
     }
   for (long i = 0; i < columns; i++) error[i] = up(error[i]);
 }

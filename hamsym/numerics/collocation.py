@@ -64,6 +64,29 @@ def collocation(count: int) -> Collocation:
     )
 
 
+@dataclass(frozen=True)
+class ChebyshevTables:
+    """Matrices between values at Chebyshev points x_j = cos(pi (j + 1/2)/n) and series in x."""
+
+    points: np.ndarray
+    #: values[k, j] = T_k(x_j), and series[j, k], its inverse.
+    values: np.ndarray
+    series: np.ndarray
+    #: integral[j, i]: Weight of the value at x_j in the integral from -1 to x_i.
+    integral: np.ndarray
+
+
+@functools.cache
+def chebyshev_tables(terms: int) -> ChebyshevTables:
+    """Make the tables for ``terms`` points, rounded from products in extended precision."""
+    places, degrees = 2 * np.arange(terms) + 1, np.arange(terms + 1)[:, None]
+    longer = turns(terms)[degrees * places % (4 * terms)]
+    series = longer[:terms].T * np.where(np.arange(terms), 2, 1) / np.longdouble(terms)
+    integrals = chebyshev.chebint(np.eye(terms, dtype=np.longdouble), lbnd=-1).T
+    tables = longer[1], longer[:terms], series, series @ integrals @ longer
+    return ChebyshevTables(*(np.ascontiguousarray(each.astype(float)) for each in tables))
+
+
 # -- values ----------------------------------------------------------------------------------------
 
 

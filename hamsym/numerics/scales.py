@@ -19,7 +19,7 @@ def ratios(errors: np.ndarray, limits: np.ndarray) -> np.ndarray:
     """
     with np.errstate(all="ignore"):
         found = np.where(errors == 0, 0.0, errors / limits)
-    return np.nan_to_num(found, nan=np.inf, posinf=np.inf)
+    return np.where(np.isnan(found), np.inf, found)
 
 
 def coupled_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.ndarray:

@@ -13,8 +13,8 @@ from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.orbits.arc import Arc, Problem
 from hamsym.orbits.proven_stability import WEAKER
-from hamsym.proof.ball import Ball
-from hamsym.proof.balls import decimal_above
+from hamsym.proof.arithmetic.ball import Ball
+from hamsym.proof.arithmetic.balls import decimal_above
 from hamsym.support.record_fields import Limit, Size
 from hamsym.support.records import digest_of
 from hamsym.support.sealed_text import SealedText

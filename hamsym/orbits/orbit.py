@@ -43,7 +43,8 @@ _LARGE = 1e3  # multiplier whose inverse is more accurate than the computed one
 class PeriodicOrbit(Drawn, Saved):
     """A periodic orbit, from :func:`hamsym.periodic_orbit`.
 
-    ``plot()`` draws the orbit in the plane of its first two components, and its multipliers; one
+    ``plot()`` draws the orbit in the plane of its first two coordinates, or in space and seen along
+    each axis if they are x, y and z, and its multipliers; ``plot("energies")`` its energies; one
     component draws it over a period, two in their plane, three in their space, and
     ``plot("multipliers")`` these alone.
 

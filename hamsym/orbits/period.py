@@ -12,7 +12,7 @@ import sympy
 from hamsym.errors import CertificationError, InputError
 from hamsym.formula.parser import parse_expression
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.proof.ball import Ball
+from hamsym.proof.arithmetic.ball import Ball
 from hamsym.support.validation import require_positive
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.exact import rational, without_floats

@@ -35,13 +35,14 @@ from hamsym.orbits.period import exact_period, in_units_of_the_arc
 from hamsym.orbits.proven_stability import proven_attraction, proven_stability
 from hamsym.orbits.search import vector_field_at
 from hamsym.orbits.symmetry import SignedPermutation, is_unchanged
-from hamsym.proof.ball import Ball
-from hamsym.proof.balls import above, working
-from hamsym.proof.enclose import Enclosure, enclosed
-from hamsym.proof.float64_arithmetic import require_float64
-from hamsym.proof.functions import BALLS, SingularityError
-from hamsym.proof.generated import GeneratedFunctions
+from hamsym.proof.arithmetic.ball import Ball
+from hamsym.proof.arithmetic.balls import above, working
+from hamsym.proof.arithmetic.directed import UNDERFLOW, up
+from hamsym.proof.arithmetic.float64_arithmetic import require_float64
+from hamsym.proof.arithmetic.functions import BALLS, SingularityError
+from hamsym.proof.arithmetic.generated import GeneratedFunctions
 from hamsym.proof.limits import Deadline
+from hamsym.proof.windows.enclose import Enclosure, enclosed
 from hamsym.support.suggestions import checked_keywords
 
 if TYPE_CHECKING:
@@ -53,7 +54,6 @@ _MOST_PIECES = 32
 _TRIES = 6  # at a ball around the numerical orbit
 _WIDEST = 1e-1  # relative radius of balls that are tried for uniqueness
 _TRIED = 1e-8  # and of the first one
-_ROOM = 1 + 1e-9
 
 
 @checked_keywords
@@ -258,7 +258,7 @@ class _Proof:
 
     def _spread(self, radii: np.ndarray) -> np.ndarray:
         """Radii of the first state."""
-        return np.asarray(np.abs(self._basis) @ radii[: len(self._first)] * _ROOM)
+        return np.asarray(up(np.abs(self._basis) @ radii[: len(self._first)]))
 
     def _start(self, radii: np.ndarray) -> list[arb]:
         """The first states of all unknowns within radii."""
@@ -324,7 +324,7 @@ class _Proof:
         identity = arb_mat([[int(i == j) for j in range(count)] for i in range(count)])
         rest = identity - C * arb_mat(self._derivatives(found, radii))
         sizes = np.array([[above(abs(rest[i, j])) for j in range(count)] for i in range(count)])
-        return np.asarray((gaps + sizes @ radii) * _ROOM)
+        return np.asarray(up(gaps + sizes @ radii) + UNDERFLOW)
 
     def _require_closed(self, found: _Set, radii: np.ndarray) -> None:
         """Require that the component that was left out is equal too."""

@@ -15,10 +15,10 @@ from hamsym.plotting.names import math_name, number, quantity, time_name, words_
 from hamsym.plotting.panels import Panel, draw_panels
 from hamsym.plotting.style import color_of, positive, style_for
 from hamsym.plotting.time_axes import component_curves, label_time, log_lines
-from hamsym.proof.ball import Ball
-from hamsym.proof.box_certificate import BoxCertificate
-from hamsym.proof.certificate import Certificate
-from hamsym.proof.enclose import Enclosure
+from hamsym.proof.arithmetic.ball import Ball
+from hamsym.proof.boxes.box_certificate import BoxCertificate
+from hamsym.proof.windows.certificate import Certificate
+from hamsym.proof.windows.enclose import Enclosure
 
 _TIMES = 401
 _MOST_PANELS = 6

@@ -182,10 +182,11 @@ def one_panel(
     *,
     width: float = COLUMN,
     height: float = 6.5,
-) -> Iterator[Axes]:
+    projection: str | None = None,
+) -> Iterator[Any]:
     """Give axes for one panel: the user's, in the user's style, or those of a new figure.
 
-    Raise InputError if ``ax`` is not axes of matplotlib.
+    Raise InputError if ``ax`` is not axes of matplotlib, or not of space where the panel is.
     """
     if ax is not None:
         if not isinstance(ax, Axes):
@@ -193,10 +194,16 @@ def one_panel(
                 f"ax={shortened(repr(ax))} is not an Axes of matplotlib; give one, for example of "
                 "figure, ax = matplotlib.pyplot.subplots()"
             )
+        if projection == "3d" and ax.name != "3d":
+            raise InputError(
+                "three components need axes of three dimensions; give ax = "
+                'figure.add_subplot(projection="3d")'
+            )
         yield ax
         return
     with styled():
-        yield Figure.of_size(width, height, caption, warning).subplots()
+        figure = Figure.of_size(width, height, caption, warning)
+        yield figure.add_subplot(projection=projection)
 
 
 def figure_of(ax: Axes) -> Any:
@@ -214,9 +221,10 @@ def require_no_axes(ax: Any, names: str) -> None:
 
 
 def legend(axes: Axes, **options: Any) -> None:
-    """Add a legend if anything has a label; of many entries in several columns."""
-    handles, labels = axes.get_legend_handles_labels()
-    if labels:
+    """Add a legend if anything has a label, equal ones once; of many entries in several columns."""
+    entries = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+    if entries:
+        labels, handles = list(entries), list(entries.values())
         columns = 1 if len(labels) <= 4 else 2
         axes.legend(handles, labels, **{"ncols": columns, **options})
 

@@ -19,15 +19,21 @@ from hamsym.codegen.observable import Observable
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.plotting.captions import axis_words, caption_words, formula_of
-from hamsym.plotting.figure import Figure, figure_of, label, legend, legend_above, one_panel
-from hamsym.plotting.names import math_name, number, quantity, shortened, time_name, with_unit
+from hamsym.plotting.figure import Figure, figure_of, label, legend, one_panel
+from hamsym.plotting.names import (
+    distinct_numbers,
+    math_name,
+    number,
+    quantity,
+    shortened,
+    time_name,
+    with_unit,
+)
 from hamsym.plotting.phase_portraits import draw_levels
 from hamsym.plotting.style import (
     COLUMN,
     MAX_LINES,
-    PAGE,
     SEQUENTIAL,
-    line_style,
     line_styles,
     style_for,
 )
@@ -36,19 +42,15 @@ from hamsym.support.suggestions import similar, unknown
 
 #: Most trajectories of an ensemble that are drawn: more cover each other.
 MAX_DRAWN = 200
-# Most degrees of freedom in an overview, one in each row of a page.
-_MAX_DOF = 6
 # Points from which lines are drawn as pixels in files of vector graphics, which would be slow.
 _DENSE = 8_000
 # Points of a path: a figure has fewer pixels along it.
 _MAX_POINTS = 40_000
-# Centimetres of a row, by the number of rows, and of other rows, so that a page has all.
-_ROW = {1: 3.0, 2: 2.5, 3: 2.2, 4: 2.0}
-_PLANE, _BESIDE_PORTRAIT, _LOWER = 5.8, 3.2, 3.0
 #: A legend on the right of its axes.
-_BESIDE: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.01, 0.5), "ncols": 1}
+BESIDE: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.01, 0.5), "ncols": 1}
 _DOTS: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 2}
-_CARTESIAN = re.compile(r"([xyzXYZ])_?([0-9]*|[A-Za-z]?)\Z")
+#: A coordinate along an axis of a plane or of space, and the body to which it belongs.
+CARTESIAN = re.compile(r"([xyzXYZ])_?([0-9]*|[A-Za-z]?)\Z")
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,7 @@ class Motion:
         """Return the legend entry of each trajectory; "" for one alone, or with a colour bar."""
         if self.total == 1 or self.mapped:
             return [""] * len(self.z)
-        return [number(value, 4) for value in self.varied[2].tolist()]
+        return distinct_numbers(self.varied[2].tolist())
 
     def legend(self, axes: Axes, **options: Any) -> None:
         """Add a legend of several trajectories, whose title is what varies."""
@@ -236,7 +238,7 @@ def plane_title(H: Hamiltonian, x: str, y: str) -> str:
     if abs(places[0] - places[1]) == d:
         return "Phase portrait" if d == 1 else f"Phase plane of {math_name(H.names[min(places)])}"
     if max(places) < d:
-        bodies = [_CARTESIAN.match(name) for name in (x, y)]
+        bodies = [CARTESIAN.match(name) for name in (x, y)]
         if all(bodies) and bodies[0][2] == bodies[1][2] and x != y:  # type: ignore[index]
             return "Orbit"
         return "Coordinates"
@@ -258,7 +260,7 @@ def same_scale(H: Hamiltonian, x: str, y: str) -> bool:
     if H.units.get(x, "1") != H.units.get(y, "1"):
         return False
     owners = [H.names[place % d] for place in places]
-    if all(_CARTESIAN.match(name) for name in owners):
+    if all(CARTESIAN.match(name) for name in owners):
         return True
     stems = {re.sub(r"_?[0-9]+\Z", "", name) for name in owners}
     return len(stems) == 1 and owners != [re.sub(r"_?[0-9]+\Z", "", name) for name in owners]
@@ -271,7 +273,7 @@ def in_plane(
     H = motion.H
     notes: list[Any] = []
     columns = motion.column(x), motion.column(y)
-    _paths(axes, motion, columns, motion.labels())
+    paths_in_plane(axes, motion, columns, motion.labels())
     for side, each, column in zip("xy", (x, y), columns, strict=True):
         if each.place is None:
             _fold_escape(axes, side, motion.t, column)
@@ -280,7 +282,7 @@ def in_plane(
     if x.place is None or y.place is None:
         return notes
     if same_scale(H, x.text, y.text):
-        notes += _equal_aspect(axes, *columns)
+        notes += equal_aspect(axes, *columns)
     if H.dof == 1 and x.place != y.place and levels:
         axes.margins(0.15)
         if not H.time and motion.parameters is None:
@@ -292,7 +294,7 @@ def in_plane(
     return notes
 
 
-def _paths(
+def paths_in_plane(
     axes: Axes,
     motion: Motion,
     columns: tuple[np.ndarray, np.ndarray],
@@ -312,7 +314,7 @@ def _paths(
             axes.plot(x[0], y[0], "o", color=color, markersize=3.5, zorder=3)
 
 
-def _equal_aspect(axes: Axes, x: np.ndarray, y: np.ndarray) -> list[str]:
+def equal_aspect(axes: Axes, x: np.ndarray, y: np.ndarray) -> list[str]:
     """Give two axes one scale, unless one would be lost."""
     with np.errstate(invalid="ignore"):
         ranges = [np.nanmax(values) - np.nanmin(values) for values in (x, y)]
@@ -323,33 +325,52 @@ def _equal_aspect(axes: Axes, x: np.ndarray, y: np.ndarray) -> list[str]:
 
 
 def in_space(axes: Any, motion: Motion, drawn: Sequence[Observable]) -> list[str]:
-    """Draw paths in the space of three components or formulas."""
-    H, count = motion.H, motion.z.shape[1]
-    columns, powers = [], []
-    for each in drawn:
-        column = motion.column(each)
+    """Draw paths in the space of three components or formulas; return sentences for the caption."""
+    names = [each.text for each in drawn if each.place is not None]
+    alike = len(names) == 3 and all(same_scale(motion.H, names[0], name) for name in names)
+    columns = [motion.column(each) for each in drawn]
+    words = [axis_words(each) for each in drawn]
+    return paths_in_space(axes, columns, motion.path_styles, motion.labels(), words, alike)
+
+
+def paths_in_space(
+    axes: Any,
+    columns: Sequence[np.ndarray],
+    styles: Sequence[dict[str, Any]],
+    labels: Sequence[str],
+    words: Sequence[tuple[str, str]],
+    alike: bool,
+) -> list[str]:
+    """Draw paths in space; return sentences for the caption.
+
+    - columns: Values along the three axes, shape (paths, n).
+    - words: Text and unit of each axis.
+    - alike: Whether the axes are lengths of one space.
+    """
+    powers = []
+    for column in columns:
         size = np.nanmax(np.abs(column), initial=0.0)
         power = int(np.floor(np.log10(size))) if np.isfinite(size) and size > 0 else 0
         powers.append(power if not -3 <= power < 4 else 0)
-        columns.append(column / 10.0 ** powers[-1])
-    every = max(1, count // 20_000)
-    for k, (style, text) in enumerate(zip(motion.path_styles, motion.labels(), strict=True)):
+    columns = [column / 10.0**power for column, power in zip(columns, powers, strict=True)]
+    every = max(1, columns[0].shape[1] // 20_000)
+    for k, (style, text) in enumerate(zip(styles, labels, strict=True)):
         axes.plot(*(column[k, ::every] for column in columns), **style, label=text)
-    for axis, each, power in zip("xyz", drawn, powers, strict=True):
-        text, unit = axis_words(each)
-        unit = " ".join(filter(None, (f"$10^{{{power}}}$" if power else "", unit)))
-        getattr(axes, f"set_{axis}label")(f"{text} [{unit}]" if unit else text)
-        axes.tick_params(axis, pad=0)
-        getattr(axes, f"{axis}axis").get_major_locator().set_params(nbins=4)
-    axes.set_box_aspect(None, zoom=0.9)
-    notes = [] if every == 1 else [f"Every {every}th time is drawn"]
-    names = [each.text for each in drawn if each.place is not None]
-    if len(names) == len(drawn) and all(same_scale(H, names[0], name) for name in names):
-        spans = [np.nanmax(column) - np.nanmin(column) for column in columns]
-        if len(set(powers)) == 1 and max(spans) <= 8 * min(spans):
-            axes.set_aspect("equal")
-            axes.set_box_aspect(spans, zoom=0.95)
-    return notes
+        if len(styles) <= MAX_LINES:
+            axes.plot(*(column[k, :1] for column in columns), "o", color=style["color"], ms=3.5)
+    for axis, (text, unit), power in zip("xyz", words, powers, strict=True):
+        getattr(axes, f"set_{axis}label")(with_unit(text, unit, f"$10^{{{power}}}$" * bool(power)))
+        axes.tick_params(axis, pad=-2)
+    spans = np.array([np.nanmax(column) - np.nanmin(column) for column in columns])
+    shares = np.ones(3)
+    if alike and len(set(powers)) == 1 and spans.max() <= 8 * spans.min():
+        axes.set_aspect("equal")
+        shares = spans / spans.max()
+    axes.set_box_aspect(shares, zoom=0.95 * (3 / float(shares @ shares)) ** 0.1)
+    for axis, share in zip((axes.xaxis, axes.yaxis, axes.zaxis), shares, strict=True):
+        axis.get_major_locator().set_params(nbins=max(2, int(4 * share)), min_n_ticks=1)
+        axis.labelpad = -4
+    return [] if every == 1 else [f"Every {every}th time is drawn"]
 
 
 # -- figures ---------------------------------------------------------------------------------------
@@ -399,8 +420,9 @@ def draw_motion(motion: Motion, drawn: Sequence[Observable], ax: Any) -> Any:
     if len(drawn) == 3:
         return _draw_space(motion, drawn, missing, ax)
     wider = 1.0 if motion.mapped else 1.8 if any(motion.labels()) else 0.0
-    size = {"height": 6.0 if len(drawn) == 1 else 7.5, "width": COLUMN + wider}
-    with one_panel(ax, motion.caption(), motion.warning, **size) as axes, style_for(ax):
+    height, width = 6.0 if len(drawn) == 1 else 7.5, COLUMN + wider
+    panel = one_panel(ax, motion.caption(), motion.warning, width=width, height=height)
+    with panel as axes, style_for(ax):
         notes: list[Any] = missing
         if len(drawn) == 1:
             over_time(axes, motion, drawn[0])
@@ -408,7 +430,7 @@ def draw_motion(motion: Motion, drawn: Sequence[Observable], ax: Any) -> Any:
             notes = missing + in_plane(axes, motion, *drawn)
             if ax is None and not motion.formulas:
                 axes.set_title(plane_title(motion.H, drawn[0].text, drawn[1].text))
-        motion.legend(axes, **_BESIDE if ax is None else {})
+        motion.legend(axes, **BESIDE if ax is None else {})
         motion.color_bar(axes)
         figure = figure_of(axes)
         if ax is None and notes:
@@ -439,135 +461,12 @@ def _missing(motion: Motion) -> list[Any]:
 def _draw_space(
     motion: Motion, drawn: Sequence[Observable], missing: Sequence[Any], ax: Any
 ) -> Any:
-    if ax is not None and getattr(ax, "name", "") != "3d":
-        raise InputError(
-            "three components need axes of three dimensions; give ax = "
-            'figure.add_subplot(projection="3d")'
-        )
-    with style_for(ax):
-        if ax is None:
-            figure = Figure.of_size(COLUMN + 1, 7.5, motion.caption(), motion.warning)
-            ax = figure.add_subplot(projection="3d")
-        notes = in_space(ax, motion, drawn)
-        motion.legend(ax, loc="upper left")
-        figure = figure_of(ax)
+    size: dict[str, Any] = {"width": COLUMN + 1, "height": 7.5, "projection": "3d"}
+    with one_panel(ax, motion.caption(), motion.warning, **size) as axes, style_for(ax):
+        notes = in_space(axes, motion, drawn)
+        motion.legend(axes, loc="upper left")
+        figure = figure_of(axes)
         if isinstance(figure, Figure):
-            motion.color_bar(ax)
+            motion.color_bar(axes)
             figure.set_caption(motion.caption(*missing, *notes), motion.warning)
         return figure
-
-
-class MotionPanels:
-    """The upper part of an overview: components over time, planes; then free panels below.
-
-    - lower: Number of panels below; of one degree of freedom the first two stand beside the phase
-      portrait.
-    """
-
-    def __init__(self, motion: Motion, lower: int) -> None:
-        H, self.motion = motion.H, motion
-        shown = min(H.dof, _MAX_DOF)
-        row = max(_ROW.get(shown, 1.75), 2.5 if H.units else 0.0)  # units make labels long
-        beside = 2 if H.dof == 1 else 0
-        below = -(-(lower - beside) // 2) if lower > beside else 0
-        named = any(motion.labels())
-        keys = [0.55 + 0.35 * -(-len(motion.z) // 6)] if named else []
-        planes = [_BESIDE_PORTRAIT] * 2 if H.dof == 1 else [_PLANE]
-        heights = keys + [row] * shown + planes + [_LOWER] * below
-        self.notes: list[Any] = []
-        if shown < H.dof:
-            i = H.dof - 1
-            self.notes.append(
-                f"{shown} of {H.dof} degrees of freedom are drawn; plot('{H.names[i]}', "
-                f"'{H.names[H.dof + i]}') draws others"
-            )
-        figure = Figure.of_size(PAGE, sum(heights) + 1.2, (), "")
-        self.figure = figure
-        grid = figure.add_gridspec(len(heights), 2, height_ratios=heights)
-        if named:  # a row for the legend
-            axes = figure.add_subplot(grid[0, :])
-            axes.set_axis_off()
-        tops: list[Axes] = []
-        first = len(keys)
-        for k in range(shown):
-            for column in (0, 1):
-                axes = figure.add_subplot(grid[first + k, column])
-                component = motion.component(k + column * H.dof)
-                over_time(axes, motion, component, timed=k == shown - 1)
-                tops.append(axes)
-        if named:
-            handles, texts = tops[0].get_legend_handles_labels()
-            figure.axes[0].legend(
-                handles,
-                texts,
-                title=with_unit(*motion.varied[:2]),
-                loc="center",
-                ncols=6,
-                frameon=False,
-            )
-        first += shown
-        if H.dof == 1:
-            axes = figure.add_subplot(grid[first : first + 2, 0])
-            self.notes += in_plane(axes, motion, motion.component(0), motion.component(1))
-            axes.set_title(plane_title(H, H.names[0], H.names[1]))
-            places = [grid[first, 1], grid[first + 1, 1]]
-            if lower == 1:
-                places = [grid[first : first + 2, 1]]
-        else:
-            self._planes(*(figure.add_subplot(grid[first, column]) for column in (0, 1)))
-            places = []
-        for k in range(below):
-            last = len(heights) - below + k
-            alone = lower - len(places) == 1
-            places += [grid[last, :]] if alone else [grid[last, 0], grid[last, 1]]
-        self.free = [figure.add_subplot(place) for place in places]
-        motion.color_bar(tops)
-
-    def _planes(self, left: Axes, right: Axes) -> None:
-        motion, H = self.motion, self.motion.H
-        bodies = _bodies(H)
-        if len(bodies) > 1 and len(motion.z) == 1:
-            extents = []
-            for k, (x, y) in enumerate(bodies[:MAX_LINES]):
-                columns = motion.column(H.observable(x)), motion.column(H.observable(y))
-                text = f"({math_name(x)}, {math_name(y)})"
-                _paths(left, motion, columns, [text], **line_style(k))
-                extents.append(columns)
-            x, y = bodies[0]
-            unit = quantity(H, x)[1]
-            stems = [_CARTESIAN.match(name) for name in (x, y)]
-            label(left.xaxis, math_name(stems[0][1]), unit)  # type: ignore[index]
-            label(left.yaxis, math_name(stems[1][1]), unit)  # type: ignore[index]
-            self.notes += _equal_aspect(
-                left, *(np.stack(part) for part in zip(*extents, strict=True))
-            )
-            left.set_title("Orbits")
-            if len(bodies) <= 4:
-                legend_above(left)
-            else:
-                legend(left, **_BESIDE)
-            if len(bodies) > MAX_LINES:
-                self.notes.append(f"Orbits of {MAX_LINES} of {len(bodies)} bodies are drawn")
-        else:
-            x, y = bodies[0] if bodies else H.names[:2]
-            self.notes += in_plane(left, motion, H.observable(x), H.observable(y))
-            left.set_title(plane_title(H, x, y))
-        in_plane(right, motion, motion.component(0), motion.component(H.dof))
-        right.set_title(plane_title(H, H.names[0], H.names[H.dof]))
-
-    def finished(self, *sentences: Any) -> Figure:
-        """Return the figure with its caption."""
-        self.figure.set_caption(self.motion.caption(*self.notes, *sentences), self.motion.warning)
-        return self.figure
-
-
-def _bodies(H: Hamiltonian) -> list[tuple[str, str]]:
-    """Return the pairs of Cartesian coordinates x, y of each particle in a plane or in space."""
-    found: dict[tuple[str, bool], dict[str, str]] = {}
-    for symbol in H.q:
-        match = _CARTESIAN.match(symbol.name)
-        if match:
-            key = match[2], match[1].isupper()
-            found.setdefault(key, {})[match[1].lower()] = symbol.name
-    pairs = [own for own in found.values() if {"x", "y"} <= own.keys()]
-    return [(own["x"], own["y"]) for own in pairs]

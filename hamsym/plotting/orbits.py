@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,15 +15,15 @@ from hamsym.errors import InputError
 from hamsym.orbits.certificate import OrbitCertificate
 from hamsym.orbits.family import OrbitFamily
 from hamsym.orbits.orbit import PeriodicOrbit
+from hamsym.plotting.bodies import PROJECTIONS, bodies_of, draw_bodies, draw_projection
 from hamsym.plotting.captions import caption_words
+from hamsym.plotting.energies import draw_energies
 from hamsym.plotting.figure import figure_of, label, one_panel
 from hamsym.plotting.motions import (
     Motion,
     draw_motion,
     drawn_of,
     formulas_of,
-    in_plane,
-    plane_title,
 )
 from hamsym.plotting.names import energy_unit, number, quantity, time_name
 from hamsym.plotting.panels import Panel, draw_panels
@@ -36,35 +38,55 @@ _MOST_ORBITS = 40  # of a family, in a plane
 def draw_orbit(orbit: PeriodicOrbit, *names: Any, ax: Any = None) -> Any:
     """Draw an orbit and its multipliers; see :meth:`hamsym.PeriodicOrbit.plot`."""
     H = orbit.H
-    _, drawn = drawn_of(H, names, ("orbit", "multipliers"))
+    _, drawn = drawn_of(H, names, ("orbit", "energies", "multipliers"))
     times = orbit.problem.start + np.linspace(0, orbit.period, SAMPLES)
     formulas = formulas_of(drawn)
     t, z, apart = resolved(orbit, times, formulas=formulas)
     time, energy = quantity(H, time_name(H))[1], energy_unit(H)
     words = ["Period", f"{number(orbit.period, 8)} {time}".strip() + ",", "energy"]
     words += [f"{number(orbit.energy, 8)} {energy}".strip() + ",", orbit.stability]
-    sentences, warning = [words, orbit.facts.headline], orbit.facts.warning
+    headline = orbit.facts.headline
+    sentences, warning = [words, headline[:1].upper() + headline[1:]], orbit.facts.warning
     motion = Motion(
         H, t, z[None], sentences=sentences, warning=warning, apart=apart, formulas=formulas
     )
     if drawn:
         return draw_motion(motion, drawn, ax)
     notes: list[Any] = []
-
-    def path(axes: Axes) -> None:
-        notes.extend(in_plane(axes, motion, motion.component(0), motion.component(1)))
-        axes.set_title("Orbit" if H.dof == 1 else plane_title(H, *H.names[:2]))
-
+    path, projections = _paths(motion, "Orbit", notes)
     panels = {
-        "orbit": Panel(path, 7.5),
+        "orbit": path,
         "multipliers": Panel(
             lambda axes: draw_multipliers(axes, orbit.multipliers, _title(orbit.stability)), 7.5
         ),
+        **projections,
+        "energies": Panel(lambda axes: draw_energies(axes, motion), 6.0),
     }
-    figure = draw_panels(panels, list(panels), names, ax, motion.caption(), warning)
+    shown = [name for name in panels if projections or name != "energies"]
+    figure = draw_panels(panels, shown, names, ax, motion.caption(), warning)
     if notes and ax is None:
         figure.set_caption(motion.caption(*notes), warning)
     return figure
+
+
+def _paths(
+    motion: Motion, title: str, notes: list[Any], *, levels: bool = True
+) -> tuple[Panel, dict[str, Panel]]:
+    """Return the panel of paths in their plane or in space, and of space its projections."""
+    spatial = bool(bodies_of(motion.H, "xyz"))
+
+    def path(axes: Any) -> None:
+        notes.extend(draw_bodies(axes, motion, "xyz" if spatial else "xy", levels=levels))
+        if axes.get_title("left") in ("", "Orbit", "Phase portrait"):
+            axes.set_title(title, loc="left")
+
+    if not spatial:
+        return Panel(path, 7.5), {}
+    projections = {
+        letters: Panel(functools.partial(draw_projection, motion=motion, letters=letters), 6.0)
+        for letters in PROJECTIONS
+    }
+    return Panel(path, 7.5, "3d"), projections
 
 
 def _title(stability: str) -> str:
@@ -108,17 +130,21 @@ def draw_family(family: OrbitFamily, *names: Any, ax: Any = None) -> Any:
         return draw_panels(panels, [], names, ax, caption, warning)
     notes: list[Any] = []
 
-    def orbits(axes: Axes) -> None:
-        first, second = motion.component(0), motion.component(1)
-        notes.extend(in_plane(axes, motion, first, second, levels=False))
-        title = plane_title(H, *H.names[:2])
-        axes.set_title("Orbits" if title == "Orbit" else title)
+    paths, projections = _paths(motion, "Orbits", notes, levels=False)
+
+    def orbits(axes: Any) -> None:
+        paths.draw(axes)
         motion.color_bar(axes)
         if not motion.mapped and len(motion.z) > 1:
             _legend_beside(axes)
 
-    panels = {"period": panels["period"], "orbits": Panel(orbits, 7.5), **panels}
-    figure = draw_panels(panels, ["period", "orbits", "multipliers"], (), ax, caption, warning)
+    panels = {
+        "period": panels["period"],
+        "orbits": replace(paths, draw=orbits),
+        "multipliers": panels["multipliers"],
+        **projections,
+    }
+    figure = draw_panels(panels, list(panels), (), ax, caption, warning)
     if notes:
         figure.set_caption(caption_words(H, *sentences, *notes, parameters=parameters), warning)
     return figure

@@ -23,6 +23,13 @@ class Panel:
     draw: Callable[[Axes], Any]
     #: Of the panel, in centimetres.
     height: float = 6.5
+    #: Of its axes: "3d" for space.
+    projection: str | None = None
+
+    @property
+    def size(self) -> dict[str, Any]:
+        """Options of :func:`one_panel`."""
+        return {"height": self.height, "projection": self.projection}
 
 
 def log_scales(axes: Axes, empty: str) -> None:
@@ -58,7 +65,7 @@ def draw_panels(
     chosen = [known_name(names[0], list(panels), "a panel of this figure")] if names else shown
     if len(chosen) == 1:
         panel = panels[chosen[0]]
-        with one_panel(ax, caption, warning, height=panel.height) as axes, style_for(ax):
+        with one_panel(ax, caption, warning, **panel.size) as axes, style_for(ax):
             panel.draw(axes)
             return figure_of(axes)
     if ax is not None:
@@ -80,5 +87,5 @@ def draw_panels(
         for k, name in enumerate(chosen):
             alone = k == len(chosen) - 1 and not k % columns
             place = grid[k // columns, :] if alone else grid[k // columns, k % columns]
-            panels[name].draw(figure.add_subplot(place))
+            panels[name].draw(figure.add_subplot(place, projection=panels[name].projection))
         return figure

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import matplotlib
 import numpy as np
+import sympy
+from contourpy import contour_generator
+from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 
+from hamsym.codegen.observable import Observable
 from hamsym.dynamics.sections import Section
 from hamsym.errors import InputError
 from hamsym.plotting.captions import axis_words, caption_words, formula_of
 from hamsym.plotting.figure import figure_of, label, one_panel
 from hamsym.plotting.motions import parameters_of, varying
-from hamsym.plotting.names import math_name, number, with_unit
-from hamsym.plotting.style import COLORS, COLUMN, MAX_LINES, SEQUENTIAL, style_for
+from hamsym.plotting.names import distinct_numbers, math_name, number, with_unit
+from hamsym.plotting.style import COLORS, COLUMN, GREY, MAX_LINES, SEQUENTIAL, style_for
 from hamsym.problems.surface import parse_surface
 
+_WIDER, _GRID = (0.6, 2.0, 6.0), 301  # shares of the plane added on each side, to find a boundary
+_ONE_ENERGY = 1e-8  # relative difference of energies that are the same
+_BOUNDARY = "Grey: boundary of the states of this energy."
 _VARIED = 2  # quantities of a start in the legend
 _ROUND_OFF = 1e-12  # of a range: a smaller value is zero
 _ASIDE = 1e-6  # of the time scale of the motion: distance along the flow to see the direction
@@ -35,14 +43,14 @@ def draw_section(section: Section, *names: Any, ax: Any = None) -> Any:
     x, y = (each.values(section.z, section.t, own) for each in drawn)
     numbers = np.unique(section.trajectory)
     rising, direction = _directions(section)
-    sentences: list[Any] = [direction, section.message]
+    warning = section.facts.warning
+    sentences: list[Any] = [direction, "" if warning else section.message]
     if len(numbers) > MAX_LINES:
         sentences.insert(0, f"{len(numbers):,} trajectories")
     shared, ranges = parameters_of(H, section.parameters)
     sentences += [words for each in drawn if (words := formula_of(each))]
     words = caption_words(H, *([ranges] if ranges else []), *sentences, parameters=shared)
     varied, unit, values = varying(H, section.z0, section.parameters)
-    warning = section.facts.warning
     with one_panel(ax, words, warning, width=COLUMN + 3, height=9.0) as axes, style_for(ax):
         norm = Normalize(float(values.min()), float(values.max()))
         colors = matplotlib.colormaps[SEQUENTIAL](np.linspace(0, 0.92, 256))
@@ -66,7 +74,7 @@ def draw_section(section: Section, *names: Any, ax: Any = None) -> Any:
             if varied == "number":
                 entries, title = _starts(section), "trajectory: start"
             else:
-                entries = [number(value, 4) for value in values.tolist()]
+                entries = distinct_numbers(values.tolist())
                 title = with_unit(varied, unit)
             _draw_named(axes, section, (x, y), [entries[k] for k in numbers], rising, size)
             if len(numbers) > 1:
@@ -77,8 +85,77 @@ def draw_section(section: Section, *names: Any, ax: Any = None) -> Any:
         if not len(section.t):
             axes.set(xticks=[], yticks=[])
             axes.text(0.5, 0.5, "no crossings", transform=axes.transAxes, ha="center")
+        if (level := _allowed(section, drawn)) is not None:
+            _draw_boundary(axes, *level)
+            if ax is None:
+                figure_of(axes).set_caption([*words, *_BOUNDARY.split()], warning)
         axes.set_title(f"Section {_surface_text(section)}")
         return figure_of(axes)
+
+
+def _allowed(
+    section: Section, drawn: Sequence[Observable]
+) -> tuple[Callable[[np.ndarray, np.ndarray], np.ndarray], float] | None:
+    """Return the function of the two axes that is the energy at the boundary of the section.
+
+    This is H at the value of the fourth component at which H is stationary, so that the surface of
+    constant energy folds there; known where H is quadratic in it. None unless H has two degrees of
+    freedom and all trajectories have one energy.
+    """
+    H, own = section.H, parse_surface(section.H, section.surface).components
+    places = {each.place for each in drawn} | {*own}
+    if H.dof != 2 or not H.conserves_energy or section.parameters or len(own) != 1:
+        return None
+    if len(places) != 3 or None in places or not len(section.t):
+        return None
+    [fourth] = {*range(H.dim)} - places
+    symbol, crossed = H.z[fourth], section.z[:, own[0]]
+    if sympy.diff(H.expr, symbol, 3) != 0 or not np.ptp(crossed) <= _ROUND_OFF**0.5:
+        return None
+    system = H.compile("numpy")
+    energies = np.asarray(system.energy(section.z0))
+    if not np.ptp(energies) <= _ONE_ENERGY * np.abs(energies).max():
+        return None
+
+    def energy(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        z = np.zeros((*x.shape, H.dim))
+        z[..., own[0]] = crossed[0]
+        for each, values in zip(drawn, (x, y), strict=True):
+            z[..., each.place] = values
+        with np.errstate(all="ignore"):
+            slope = np.asarray(system.gradient(z))[..., fourth]
+            curvature = np.asarray(system.hessian(z))[..., fourth, fourth]
+            found: np.ndarray = np.asarray(system.energy(z)) - slope**2 / (2 * curvature)
+        return np.where(np.isfinite(found), found, np.nan)
+
+    return energy, float(energies.mean())
+
+
+def _draw_boundary(
+    axes: Axes, energy: Callable[[np.ndarray, np.ndarray], np.ndarray], level: float
+) -> None:
+    """Draw the curve around the points where a function of both axes has a value."""
+    limits = np.array([axes.get_xlim(), axes.get_ylim()])
+    for share in _WIDER:
+        wider = limits + share * np.ptp(limits, axis=1)[:, None] * np.array([-1, 1])
+        sides = [np.linspace(first, last, _GRID) for first, last in wider.tolist()]
+        lines = contour_generator(*sides, energy(*np.meshgrid(*sides))).lines(level)
+        around = [
+            line
+            for line in map(np.asarray, lines)
+            if (line.max(axis=0) > limits[:, 0]).all() and (line.min(axis=0) < limits[:, 1]).all()
+        ]
+        if any((line[0] == line[-1]).all() for line in around):
+            break
+    if not around:
+        return
+    for line in around:
+        axes.plot(*line.T, color=GREY, linewidth=0.8, zorder=1)
+    points = np.concatenate(around)
+    pad = 0.02 * np.ptp(points, axis=0)
+    low = np.minimum(points.min(axis=0) - pad, limits[:, 0])
+    high = np.maximum(points.max(axis=0) + pad, limits[:, 1])
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
 
 
 def _draw_named(

@@ -12,10 +12,17 @@ from matplotlib.axes import Axes
 from hamsym.codegen.observable import Observable
 from hamsym.errors import InputError
 from hamsym.families.solutions import Solutions
-from hamsym.plotting.figure import figure_of, label, legend_above, one_panel, require_no_axes
+from hamsym.plotting.energies import draw_energies
+from hamsym.plotting.figure import (
+    figure_of,
+    label,
+    legend,
+    legend_above,
+    one_panel,
+    require_no_axes,
+)
 from hamsym.plotting.motions import (
     Motion,
-    MotionPanels,
     chosen_members,
     draw_motion,
     drawn_of,
@@ -24,6 +31,7 @@ from hamsym.plotting.motions import (
     varying,
 )
 from hamsym.plotting.names import energy_unit, quantity, time_name
+from hamsym.plotting.overview import MotionPanels
 from hamsym.plotting.sampling import resolved, thinned
 from hamsym.plotting.style import SAMPLES, WARNING, color_of, style_for, styled
 from hamsym.plotting.time_axes import (
@@ -34,12 +42,12 @@ from hamsym.plotting.time_axes import (
     label_time,
     log_lines,
 )
-from hamsym.proof.certificate import Certificate
+from hamsym.proof.windows.certificate import Certificate
 from hamsym.solution.solution import Solution
 
 _MOST_OF_ERRORS = 4_000
 _ASKED_STYLE: dict[str, Any] = {"color": "black", "linestyle": ":", "label": "asked for"}
-_WORDS = ("error", "residual", "energy", "search")
+_WORDS = ("error", "residual", "energy", "energies", "search")
 
 
 def draw_solution(
@@ -58,22 +66,27 @@ def draw_solution(
         require_no_axes(ax, f"'{H.names[0]}', '{H.names[H.dof]}'")
         with styled():
             panels = MotionPanels(motion, 4)
-            error, energy, residual, search = panels.free
+            error, energy, residual, last = panels.free
             notes = draw_error(error, solution, certificate)
             draw_energy_error(energy, solution)
             draw_residual(residual, solution)
-            draw_search(search, solution)
+            if solution.record.edges is None:
+                draw_search(last, solution)
+            else:
+                draw_energies(last, motion)
             return panels.finished(*notes, LARGEST)
     if word:
         with one_panel(ax, (), motion.warning, height=6.0) as axes, style_for(ax):
             notes = []
             if word == "error":
                 notes = draw_error(axes, solution, certificate)
+            elif word == "energies":
+                draw_energies(axes, motion)
             else:
                 draw = {"residual": draw_residual, "energy": draw_energy_error}
                 draw.get(word, draw_search)(axes, solution)
             if ax is None:
-                notes += [] if word == "search" else [LARGEST]
+                notes += [] if word in ("search", "energies") else [LARGEST]
                 figure_of(axes).set_caption(motion.caption(*notes), motion.warning)
             return figure_of(axes)
     return draw_motion(motion, drawn, ax)
@@ -178,7 +191,7 @@ def draw_energy_error(axes: Axes, solution: Solution) -> None:
 
 
 def draw_search(axes: Axes, solution: Solution) -> None:
-    """Draw the length of the windows over time, or the loss of a training."""
+    """Draw the length of the windows over time, or the residuals of a training."""
     history, H = solution.history, solution.H
     if solution.record.edges is not None:
         edges = np.asarray(history.edges)
@@ -196,12 +209,11 @@ def draw_search(axes: Axes, solution: Solution) -> None:
         label_time(axes, H)
         label(axes.yaxis, "length", quantity(H, time_name(H))[1])
         return
-    counts = np.arange(1, len(history.loss) + 1)
-    axes.loglog(counts, history.loss, color="0.75", linewidth=0.6, label="at training points")
-    best = np.minimum.accumulate(history.fixed_loss)
-    axes.loglog(history.iteration, best, color=color_of(0), label="best, at fixed points")
-    axes.set(title="Loss", xlabel="iteration", ylabel="loss")
-    axes.legend()
+    # The same quantity against the same cost, whatever the loss of a method and its iterations are.
+    best = np.minimum.accumulate(history.ell_max)
+    axes.loglog(history.seconds, best, label=solution.method)
+    axes.set(title="Best residual so far", xlabel="run time [s]", ylabel=r"$\max|\ell|$")
+    legend(axes)
 
 
 # -- many ------------------------------------------------------------------------------------------

@@ -6,53 +6,53 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import NullLocator
+from matplotlib.ticker import LogLocator, NullLocator
 
 from hamsym.dynamics.monodromy import TangentMap
 from hamsym.plotting.figure import Figure, figure_of, label, one_panel
 from hamsym.plotting.names import number
 from hamsym.plotting.style import GREY, color_of, style_for
 
-_LARGE = 10.0  # multipliers beyond are drawn on axes that are linear near 0 only
-_MOST_NAMED = 6
+_FAR = 2.5  # from 0: beyond, all multipliers are drawn in an inset
+_BESIDE_CIRCLE = 1.15  # from 0: largest drawn beside the inset
 
 
 def draw_multipliers(axes: Axes, values: np.ndarray, title: str) -> None:
-    """Draw multipliers about the unit circle.
+    """Draw multipliers about the unit circle; where some are far from it, all in an inset.
 
-    Where some are large, distances from 0 are logarithmic outside the circle of radius 2.
+    The inset shows sizes on a logarithmic axis against angles, where a pair m, 1/m is a mirror
+    image.
     """
     values = np.asarray(values, dtype=complex)
     finite = values[np.isfinite(values)]
-    large = bool(finite.size and np.abs(finite).max() > _LARGE)
+    far = bool((np.abs(finite) > _FAR).any())
+    near = finite[np.abs(finite) <= (_BESIDE_CIRCLE if far else _FAR)]
     angle = np.linspace(0, 2 * np.pi, 400)
+    style: dict[str, Any] = {"color": color_of(1), "linestyle": "none", "marker": "x"}
     axes.plot(np.cos(angle), np.sin(angle), color=GREY, linewidth=0.8, label="unit circle")
-    axes.plot(finite.real, finite.imag, "x", color=color_of(1), markersize=7, label="multipliers")
-    if large:
-        axes.set_xscale("symlog", linthresh=2)
-        axes.set_yscale("symlog", linthresh=2)
-        for axis, parts in ((axes.xaxis, finite.real), (axes.yaxis, finite.imag)):
-            axis.set_ticks(_ticks(float(np.abs(parts).max())))
-            axis.set_major_formatter(lambda value, _: number(value, 2))
-            axis.set_minor_locator(NullLocator())
-        axes.margins(0.1)
-    else:
-        axes.margins(0.12)
-        axes.set_aspect("equal", adjustable="datalim")
+    axes.plot(near.real, near.imag, **style, markersize=7, label="multipliers")
+    side = 1.15 * max(1.0, float(np.abs(near).max(initial=0.0)))
+    axes.set(xlim=(-side, side), ylim=(-side, side))
+    axes.set_aspect("equal", adjustable="box")
+    if far:
+        axes.set_xlim(-side, 2.4 * side)
+        inset = axes.inset_axes((0.74, 0.26, 0.24, 0.62))
+        inset.plot(np.angle(finite, deg=True), np.abs(finite), **style, markersize=5)
+        inset.axhline(1, color=GREY, linewidth=0.8)
+        inset.set(yscale="log", xlim=(-200, 200), xticks=(-180, 0, 180))
+        inset.set_title("all, by size", fontsize=7)
+        inset.set_xlabel("angle [°]", fontsize=7)
+        inset.yaxis.set_major_locator(LogLocator(numticks=6))
+        inset.yaxis.set_minor_locator(NullLocator())
+        inset.tick_params(labelsize=6)
     if finite.size < values.size:
         note = f"{values.size - finite.size} of {values.size} are not finite"
         axes.text(0.02, 0.02, note, transform=axes.transAxes, fontsize=6)
     axes.set_title(title)
     label(axes.xaxis, "Re")
     label(axes.yaxis, "Im")
-
-
-def _ticks(largest: float) -> list[float]:
-    """Return ticks at 0, 1 and about three powers of ten on each side."""
-    most = int(np.floor(np.log10(max(largest, 10.0))))
-    powers = sorted({most, max(most * 2 // 3, 1), max(most // 3, 1)})
-    outer = [10.0**power for power in powers]
-    return [-value for value in reversed(outer)] + [-1.0, 0.0, 1.0, *outer]
+    if far:
+        axes.set(xticks=(-1, 0, 1), yticks=(-1, 0, 1))
 
 
 def draw_tangent_map(found: TangentMap, *, ax: Any = None) -> Any:

@@ -13,10 +13,10 @@ from hamsym.codegen.observable import Observable
 from hamsym.errors import InputError
 from hamsym.integrators.interpolation import Interpolant
 from hamsym.integrators.trajectory import Trajectory
+from hamsym.plotting.energies import draw_energies
 from hamsym.plotting.figure import figure_of, label, one_panel, require_no_axes
 from hamsym.plotting.motions import (
     Motion,
-    MotionPanels,
     chosen_members,
     draw_motion,
     drawn_of,
@@ -25,6 +25,7 @@ from hamsym.plotting.motions import (
     varying,
 )
 from hamsym.plotting.names import energy_unit
+from hamsym.plotting.overview import MotionPanels
 from hamsym.plotting.sampling import resolved, with_formulas
 from hamsym.plotting.style import SAMPLES, style_for, styled
 from hamsym.plotting.time_axes import label_time, log_lines
@@ -37,26 +38,37 @@ def draw_trajectory(trajectory: Trajectory, *names: Any, ax: Any = None) -> Any:
     H = trajectory.ensemble.H
     estimated = trajectory.errors is not None
     words = ("energy", "error") if estimated else ("energy",)
+    one = len(trajectory.ensemble) == 1
     if not len(trajectory.ensemble):
         raise InputError("there are no trajectories to draw; integrate at least one")
     chosen = chosen_members(len(trajectory.ensemble))
-    word, drawn = drawn_of(H, names, ("energy", "error"))
+    word, drawn = drawn_of(H, names, ("energy", "error", "energies"))
     motion = _motion(trajectory, chosen, formulas_of(drawn))
     draw = {"energy": _draw_energy, "error": _draw_error}
     if not names:
         require_no_axes(ax, f"'{H.names[0]}', '{H.names[H.dof]}'")
         with styled():
-            panels = MotionPanels(motion, len(words))
-            for axes, each in zip(panels.free, words, strict=True):
+            panels = MotionPanels(motion, len(words) + one)
+            for axes, each in zip(panels.free, words, strict=False):
                 draw[each](axes, trajectory, motion, chosen)
+            if one:
+                draw_energies(panels.free[-1], motion)
             return panels.finished()
     if word:
-        if word not in words:
+        if word == "energies" and not one:
+            raise InputError(
+                f"energies are drawn of one trajectory, not of {len(trajectory.ensemble):,}; "
+                "integrate one of them"
+            )
+        if word == "error" and not estimated:
             raise InputError(
                 "this trajectory has no error estimate; integrate with tol=, for example tol=1e-9"
             )
         with one_panel(ax, motion.caption(), motion.warning, height=6.0) as axes, style_for(ax):
-            draw[word](axes, trajectory, motion, chosen)
+            if word == "energies":
+                draw_energies(axes, motion)
+            else:
+                draw[word](axes, trajectory, motion, chosen)
             motion.legend(axes)
             motion.color_bar(axes)
             return figure_of(axes)

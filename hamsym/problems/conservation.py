@@ -48,7 +48,7 @@ class KnownInvariants:
     def __init__(
         self, H: Hamiltonian, given: InvariantLike | Sequence[InvariantLike], varied: Any = ()
     ) -> None:
-        if isinstance(given, str | sympy.Expr | Invariant):
+        if isinstance(given, (str, sympy.Expr, Invariant)):
             given = [given]
         if not isinstance(given, Sequence):
             raise InputError(

@@ -57,6 +57,12 @@ def described(H: Hamiltonian) -> dict[str, Any]:
     return found
 
 
+def described_formula(expr: sympy.Expr, names_of_state: Collection[str]) -> dict[str, Any]:
+    """Return a formula as JSON values, with its binary fractions."""
+    found: dict[str, Any] = as_json(_marked(expr, names_of_state))
+    return found
+
+
 def hamiltonian_from(values: dict[str, Any]) -> Hamiltonian:
     """Return the Hamiltonian of the values of :func:`described`.
 

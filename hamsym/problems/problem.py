@@ -90,7 +90,7 @@ def _initial_energy(H: Hamiltonian, state: np.ndarray, start: float) -> float:
     with np.errstate(all="ignore"):
         energy = float(system.energy(*system.arguments(state, start)))
         rates = system.vector_field(*system.arguments(state, start))
-    if not (math.isfinite(energy) and np.all(np.isfinite(rates))):
+    if not (math.isfinite(energy) and np.isfinite(rates).all()):
         raise InputError("H or its gradient is not finite at z0; choose another initial state")
     return energy
 
@@ -155,13 +155,13 @@ def checked_tol(tol: Any) -> float:
 def checked_atol(atol: float | Sequence[float], dim: int) -> tuple[float, ...]:
     """Return absolute tolerances, one or one for each of ``dim`` components."""
     try:
-        values = np.asarray(atol, dtype=float)
-        np.broadcast_to(values, (dim,))
+        values = np.atleast_1d(np.asarray(atol, dtype=float))
     except (TypeError, ValueError):
-        values = np.array(math.nan)
-    if not (np.all(np.isfinite(values)) and np.all(values >= 0)):
+        values = np.array([math.nan])
+    found = tuple(values.tolist())
+    if values.shape not in ((1,), (dim,)) or not all(0 <= value < math.inf for value in found):
         raise InputError(f"atol={atol!r} cannot be used; give a number from 0, or a list of {dim}")
-    return tuple(np.atleast_1d(values).tolist())
+    return found
 
 
 def checked_window(

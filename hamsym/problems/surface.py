@@ -16,6 +16,7 @@ import numpy as np
 import sympy
 
 from hamsym.codegen.functions import compile_straight_line
+from hamsym.codegen.observable import Observable
 from hamsym.codegen.straight_line import without_arithmetic
 from hamsym.errors import InputError
 from hamsym.formula.separation import separated
@@ -33,9 +34,9 @@ class Surface:
     #: Components of z that occur in the equation.
     names: frozenset[str]
     #: (z, t, parameters=None) -> g, shape (...); see :meth:`hamsym.Hamiltonian.observable`.
-    value: Callable[..., np.ndarray] = field(repr=False)
+    value: Observable = field(repr=False)
     #: (z, t, parameters=None) -> c_k, shape (...).
-    conditions: tuple[Callable[..., np.ndarray], ...] = field(repr=False)
+    conditions: tuple[Observable, ...] = field(repr=False)
     #: (component, t, parameter=None) -> g over intervals, from the
     #: :class:`~hamsym.numerics.intervals.Ranges` of each component by its place in ``components``,
     #: of the time, and of each parameter by its number if values are not those of H; None if g is

@@ -1,8 +1,8 @@
 """Certificates: proven bounds on the error of a neural trajectory.
 
-:mod:`hamsym.proof.window_proof` encloses the exact solution on windows, takes the trajectory as the
-real function that its weights define, and bounds the difference. Upper bounds are rounded up and
-lower bounds down to the decimals of a :class:`Certificate`.
+:mod:`hamsym.proof.windows.window_proof` encloses the exact solution on windows, takes the
+trajectory as the real function that its weights define, and bounds the difference. Upper bounds are
+rounded up and lower bounds down to the decimals of a :class:`Certificate`.
 
 :func:`verify` repeats a proof from the solution and checks every claim of the certificate. It
 assumes nothing in the certificate, and the size of the certificate does not determine its run time.
@@ -21,29 +21,32 @@ import hamsym
 from hamsym.archive import certificate_from, load_as
 from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.flow_maps.flow_map import FlowMap
-from hamsym.proof.box_certificate import BoxCertificate, map_digest
-from hamsym.proof.box_proof import certify_box, proven_bound
-from hamsym.proof.certificate import (
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.proof.arithmetic.float64_arithmetic import require_float64
+from hamsym.proof.boxes.box_certificate import BoxCertificate, map_digest
+from hamsym.proof.boxes.box_proof import certify_box, proven_bound
+from hamsym.proof.independent import verify_equilibrium, verify_invariant, verify_solution
+from hamsym.proof.limits import Deadline
+from hamsym.proof.windows.certificate import (
     LEAST_RTOL,
     MOST_RTOL,
     Certificate,
     rounded_down,
     rounded_up,
 )
-from hamsym.proof.float64_arithmetic import require_float64
-from hamsym.proof.limits import Deadline
-from hamsym.proof.public_check import check_solution
-from hamsym.proof.window_proof import WindowBounds, WindowProof
+from hamsym.proof.windows.public_windows import check_solution
+from hamsym.proof.windows.window_proof import WindowBounds, WindowProof
 from hamsym.solution.digest import digest
 from hamsym.solution.path import TRIALS
 from hamsym.solution.solution import Solution
 from hamsym.support.progress import share_progress
 from hamsym.support.records import MALFORMED, as_json
-from hamsym.support.suggestions import checked_keywords
+from hamsym.support.suggestions import checked_keywords, require_known
 from hamsym.support.validation import require, require_number
 
 # Default time limit of verify() in seconds: its own, per second of certify, and at most.
 _PATIENCE, _PATIENCE_FACTOR, _MOST_PATIENCE = 60.0, 10.0, 600.0
+_CHECKERS = ("kernel", "independent")
 # Bounds that are found on another processor, or on windows that end at the edges of a certificate,
 # differ by round-off: by a share of themselves, and by a share of what counts as zero.
 _MARGIN, _MARGIN_OF_FLOOR = 1e-7, 1e-9
@@ -205,23 +208,45 @@ def _pieces(
 
 @checked_keywords
 def verify(
-    certificate: Certificate | BoxCertificate | hamsym.OrbitCertificate | str,
-    result: Solution | FlowMap | hamsym.PeriodicOrbit | str | os.PathLike[str],
+    certificate: Certificate
+    | BoxCertificate
+    | hamsym.OrbitCertificate
+    | hamsym.SectionCertificate
+    | hamsym.Equilibrium
+    | hamsym.Invariant
+    | str,
+    result: Solution
+    | FlowMap
+    | hamsym.PeriodicOrbit
+    | hamsym.Section
+    | Hamiltonian
+    | str
+    | os.PathLike[str],
     time_limit: float | None = None,
     progress: bool | None = None,
+    *,
+    checker: str = "kernel",
 ) -> None:
     """Repeat the proof from a result and check every claim of its certificate.
 
     Parameters
     ----------
-    certificate : Certificate, BoxCertificate, OrbitCertificate or str
-        The text is that of their ``to_json``.
-    result : Solution, FlowMap, PeriodicOrbit or path
+    certificate : Certificate, BoxCertificate, OrbitCertificate, SectionCertificate or str
+        The text is that of ``to_json``.
+    result : Solution, FlowMap, PeriodicOrbit, Section or path
         What the certificate is about; the path is that of a file that :func:`hamsym.save` wrote.
     time_limit : float, optional
         Seconds. By default 60 s plus ten times the run time of certify, at most 600 s, because a
         forged certificate may claim any run time; give a limit for longer proofs.
     progress : bool, optional
+    checker : {"kernel", "independent"}
+        What proves the claims: the program that proved them, or :mod:`hamsym.proof.checker`, a
+        small one on python-flint that shares no line with it. It parses H itself, encloses the
+        exact solution by another lemma in ball arithmetic, and proves the very numbers of the
+        certificate, in about ten times the time, for which ten times the default limit is allowed.
+        It covers certificates of solutions; and beside certificates an equilibrium that
+        :func:`hamsym.equilibria` found (its ball, its type and its stability, not that a list is
+        complete) and an invariant, each with its Hamiltonian as the result.
 
     Raises
     ------
@@ -232,20 +257,36 @@ def verify(
     InputError
         If an argument has another type.
     """
+    require_known(checker, _CHECKERS, "a checker")
+    independent = checker == "independent"
+    if independent and isinstance(certificate, (hamsym.Equilibrium, hamsym.Invariant)):
+        H = _of_kind(Hamiltonian, result)
+        if isinstance(certificate, hamsym.Invariant):
+            verify_invariant(certificate, H)
+        else:
+            verify_equilibrium(certificate, H)
+        return
     if isinstance(certificate, str):
         certificate = certificate_from(certificate)
-    known = (Certificate, BoxCertificate, hamsym.OrbitCertificate)
+    known = (Certificate, BoxCertificate, hamsym.OrbitCertificate, hamsym.SectionCertificate)
     if not isinstance(certificate, known):
         raise InputError(
             f"certificate must be a certificate or its text, not {type(certificate).__name__}"
         )
+    if independent and not isinstance(certificate, Certificate):
+        raise InputError(
+            'checker="independent" covers certificates of solutions, equilibria and invariants, '
+            'not certificates of flow maps and orbits; give checker="kernel" for those'
+        )
     if isinstance(certificate, Certificate):
         solution = _of_kind(Solution, result)
-        _verify_solution(certificate, solution, time_limit, progress)
+        _verify_solution(certificate, solution, time_limit, progress, independent)
         check_solution(solution)
     elif isinstance(certificate, BoxCertificate):
         flow = _of_kind(FlowMap, result)
         verify_box(certificate, flow, _deadline(time_limit, certificate.seconds))
+    elif isinstance(certificate, hamsym.SectionCertificate):
+        certificate.verify(_of_kind(hamsym.Section, result))
     else:
         deadline = _deadline(time_limit, certificate.seconds)
         orbit = _of_kind(hamsym.PeriodicOrbit, result)
@@ -264,7 +305,11 @@ def _of_kind(kind: type, result: Any) -> Any:
 
 
 def _verify_solution(
-    claims: Certificate, solution: Solution, time_limit: float | None, progress: bool | None
+    claims: Certificate,
+    solution: Solution,
+    time_limit: float | None,
+    progress: bool | None,
+    independent: bool,
 ) -> None:
     """Prove a certificate of a solution again."""
     require_float64()
@@ -282,19 +327,21 @@ def _verify_solution(
         raise CertificationError("the certificate and the solution have different dimensions")
     if claims.components != tuple(solution.H.names):
         raise CertificationError("the certificate and the solution name components differently")
-    deadline = _deadline(time_limit, claims.seconds)
+    deadline = _deadline(time_limit, claims.seconds, 10.0 if independent else 1.0)
+    if independent:
+        verify_solution(claims, solution, deadline.check)
+        return
     with share_progress(progress, "proving") as report:
         WindowProof(solution, deadline, report).require(claims)
 
 
-def _deadline(time_limit: float | None, seconds: float) -> Deadline:
+def _deadline(time_limit: float | None, seconds: float, factor: float = 1.0) -> Deadline:
     if time_limit is not None:
         return Deadline.after(time_limit)
-    limit = min(_PATIENCE + _PATIENCE_FACTOR * seconds, _MOST_PATIENCE)
+    own, share, most = (factor * x for x in (_PATIENCE, _PATIENCE_FACTOR, _MOST_PATIENCE))
     return Deadline.after(
-        limit,
-        f", by default {_PATIENCE:g} s and {_PATIENCE_FACTOR:g} times what certify took, "
-        f"at most {_MOST_PATIENCE:g} s,",
+        min(own + share * seconds, most),
+        f", by default {own:g} s and {share:g} times what certify took, at most {most:g} s,",
     )
 
 

@@ -2,8 +2,8 @@
 
 The error delta = z - z^ obeys delta' = J Hess(z^) delta - r(t) with r the residual (the paper's
 eq. ell), up to terms of second order. Inside a window r oscillates about as often as there are
-columns in the basis, so it is sampled at half as many nodes again as the solution used and at
-random places. The equation is solved window by window (:func:`hamsym.kernel.loops.carry_errors`),
+columns in the basis, so it is sampled at half as many nodes again as the solution used. The
+equation is solved window by window (:func:`hamsym.kernel.loops.carry_errors`),
 for delta plus the integral of r, which is smooth: half of the nodes resolve it, or else those of
 the solution do. The residual r contains only another sample of the round-off: random perturbations
 of its size are moved with the error, one batch at every joint. Its size is measured as the change
@@ -18,14 +18,13 @@ linear, or J Hess is not finite.
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
 from hamsym.kernel import loops
-from hamsym.kernel.loops import LANES, VECTORS, Actions, ErrorSettings, ErrorTables, Rule
+from hamsym.kernel.loops import LANES, Actions, ErrorSettings, ErrorTables, Rule
 from hamsym.numerics.collocation import collocation, turns
 from hamsym.numerics.scales import resolved_sizes
 from hamsym.random_features.basis import FeatureBasis, basis_of_series, squared
@@ -46,9 +45,11 @@ _USUAL, _LOOSE, _FINE = range(3)
 #: out are smaller by a factor, which is closer to one in long windows.
 _RESOLVED = (100.0, 10.0, 10.0)
 _LOOSE_TOLERANCE = 1e-8  # local
-_RANDOM, _SETS = 8, 4  # further places of the residual, and how many choices of them
+#: Random vectors that represent round-off, by the nodes of the basis, and the standard deviations
+#: that it may have as they show them: with the same chance. The small basis is far from round-off.
+_PERTURBATIONS = {16: (2, 5.0), 24: (4, 3.0)}
 _PERIOD = 509  # windows after which the signs of the perturbations repeat
-ACCURACY, FEWEST = 1e-3, 10.0  # of the vectors after all windows, and the least number of these
+ACCURACY, FEWEST = 3e-3, 10.0  # of the vectors after all windows, and the least number of these
 _SCALE_SAMPLES = 256  # windows at which the coupling of the components is averaged
 
 
@@ -111,12 +112,12 @@ def estimate_error(
         rounded=float(flow.rounded),
         scale=np.where(scale > 0, scale, 1.0),
         size=scale,
-        sign=disturbances(tables.sets, tables.places, dim),
-        kick=kicks(dim) * moved[:, None],
+        sign=disturbances(tables.places, dim),
+        kick=kicks(tables.perturbations, dim) * moved[:, None],
         parameters=flow.parameters,
         residual=residuals,
     )
-    series = np.full((count, tables.inside, dim), np.inf)
+    series = np.full((count, tables.places, dim), np.inf)
     floors, largest = np.full((count, dim), np.inf), np.zeros(dim)
     marks = np.zeros(count, dtype=np.int64)
     first, outcome = loops.carry_errors(
@@ -127,7 +128,7 @@ def estimate_error(
         loops.Windows(windows.edges, windows.states, windows.readouts),
         basis.tables,
         loops.ErrorResults(
-            joint=np.zeros(dim * VECTORS),
+            joint=np.zeros(dim * (tables.perturbations + 2)),
             history=np.zeros(2),
             series=series,
             floor=floors,
@@ -168,20 +169,18 @@ def resolution_for(tolerance: float) -> int:
 def error_tables(basis: FeatureBasis, resolution: int = 0) -> ErrorTables:
     """Make the tables of the estimate for a basis."""
     coarse, usual, inside = RESOLUTIONS[len(basis.nodes)][resolution]
+    perturbations, deviations = _PERTURBATIONS[len(basis.nodes)]
     fine = collocation(inside)
-    generator = np.random.default_rng(basis.seed)
-    places = [np.append(fine.nodes, generator.random(_RANDOM)) for _ in range(_SETS)]
-    columns = [basis.columns(s.astype(np.longdouble)) for s in places]
-    values, values_low = _parts(values for values, _ in columns)
-    rates, rates_low = _parts(rates for _, rates in columns)
+    (values, values_low), (rates, rates_low) = map(
+        _parts, basis.columns(fine.nodes.astype(np.longdouble))
+    )
     # The integral from 0 of the polynomial through the values at the first places.
     exact = np.longdouble  # multiplied in one order; BLAS has one for each processor
     integrals = chebyshev.chebint(np.eye(inside, dtype=exact), lbnd=-1, scl=exact(0.5))
 
     def integral(s: np.ndarray, terms: int = inside + 1) -> np.ndarray:
         weights = chebyshev.chebval(2 * s.astype(exact) - 1, integrals[:terms]).T
-        weights = (weights @ fine.to_series.astype(exact)).astype(float)
-        return np.pad(weights.T, ((0, _RANDOM), (0, 0)))
+        return np.asarray((weights @ fine.to_series.astype(exact)).astype(float).T)
 
     def rule(nodes: int) -> Rule:
         found = collocation(nodes)
@@ -199,17 +198,17 @@ def error_tables(basis: FeatureBasis, resolution: int = 0) -> ErrorTables:
 
     usual_rule = rule(usual)
     return ErrorTables(
-        columns=values.shape[1],
-        sets=_SETS,
-        places=inside + _RANDOM,
-        inside=inside,
+        columns=len(values),
+        places=inside,
+        perturbations=perturbations,
+        deviations=deviations,
         resolved=_RESOLVED[resolution],
-        place=np.array(places),
+        place=fine.nodes,
         value=values,
         value_low=values_low,
         rate=rates,
         rate_low=rates_low,
-        drift_inside=integral(fine.nodes),
+        drift=integral(fine.nodes),
         drift_end=integral(np.ones(1))[:, 0],
         to_series=fine.to_series.T,
         # Between the places, and at the end.
@@ -219,23 +218,22 @@ def error_tables(basis: FeatureBasis, resolution: int = 0) -> ErrorTables:
     )
 
 
-def _parts(tables: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return transposed tables as high and low parts, shape (tables, columns, rows) each."""
-    exact = np.array([table.T for table in tables])
-    high = exact.astype(float)
-    return high, (exact - high).astype(float)
+def _parts(exact: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a transposed table as high and low parts."""
+    high = exact.T.astype(float)
+    return high, (exact.T - high).astype(float)
 
 
 @functools.lru_cache(maxsize=64)
-def disturbances(sets: int, places: int, dim: int) -> np.ndarray:
-    """Return the signs with which states are disturbed, shape (sets, dim, places)."""
-    return np.random.default_rng(0).choice((-1.0, 1.0), size=(sets, dim, places))
+def disturbances(places: int, dim: int) -> np.ndarray:
+    """Return the signs with which states are disturbed, shape (dim, places)."""
+    return np.random.default_rng(0).choice((-1.0, 1.0), size=(dim, places))
 
 
 @functools.lru_cache(maxsize=64)
-def kicks(dim: int) -> np.ndarray:
-    """Return the signs of the round-off of each window, shape (period, dim, vectors)."""
-    shape = (_PERIOD, dim, loops.PERTURBATIONS)
+def kicks(perturbations: int, dim: int) -> np.ndarray:
+    """Return the signs of the round-off of each window, shape (period, dim, perturbations)."""
+    shape = (_PERIOD, dim, perturbations)
     return np.random.default_rng(1).choice((-1.0, 1.0), size=shape)
 
 

@@ -34,7 +34,7 @@ from hamsym.random_features.flow import (
     flow_of,
 )
 from hamsym.random_features.march import node_signs, origin_of, shortest_window
-from hamsym.random_features.window_checks import Pieces, WindowChecks
+from hamsym.random_features.window_checks import Pieces, WindowChecks, bound_tables
 from hamsym.random_features.windows import March
 from hamsym.solution.discontinuities import has_switches, has_time_switches
 from hamsym.solution.window_error import relative_tolerance
@@ -103,6 +103,7 @@ class MemberSolver:
             basis.tables,
             self._tables,
             terms_of(self._flow),
+            None if self._flow.is_short_polynomial else bound_tables(basis, local),
             Span(
                 start=start,
                 end=end,
@@ -121,8 +122,8 @@ class MemberSolver:
                 absolute=np.array(atol, dtype=float),
             ),
             node_signs(basis, H.dim),
-            disturbances(self._tables.sets, self._tables.places, H.dim),
-            kicks(H.dim),
+            disturbances(self._tables.places, H.dim),
+            kicks(self._tables.perturbations, H.dim),
         )
         self._room = _ROOM
 
@@ -160,7 +161,7 @@ class MemberSolver:
     def _allocated(self, count: int, room: int, keep_error: bool) -> Members:
         dim, columns = self.H.dim, self.basis.series.shape[1]
         more = {
-            "series": np.empty((room, self._tables.inside, dim)),
+            "series": np.empty((room, self._tables.places, dim)),
             "floor": np.empty((room, dim)),
         }
         return Members(
@@ -185,11 +186,12 @@ class MemberSolver:
     ) -> Batch:
         """Return the first ``done`` members, after the check between the points of the march."""
         counts, verdicts = members["count"][:done], members["verdict"][:done]
-        verdicts[self._unresolved(members, counts, parameters)] = loops.LEFT
+        verdicts[self._exceeding(members, counts, parameters)] = loops.LEFT
         accepted = verdicts != loops.LEFT
-        kept = np.repeat(accepted, counts)
-        rows = np.repeat(accepted & (counts > 0), counts + 1)
         total, final = int(counts.sum()), np.where(accepted, counts, 0)
+        kept = rows = None
+        if not accepted.all():
+            kept, rows = np.repeat(accepted, counts), np.repeat(final > 0, counts + 1)
         return Batch(
             accepted=accepted,
             counts=final,
@@ -203,30 +205,30 @@ class MemberSolver:
             **{
                 plural: _selected(members[name][:total], kept) if members.has(name) else empty
                 for plural, name, empty in (
-                    ("series", "series", np.empty((0, self._tables.inside, self.H.dim))),
+                    ("series", "series", np.empty((0, self._tables.places, self.H.dim))),
                     ("floors", "floor", np.empty((0, self.H.dim))),
                 )
             },
         )
 
-    def _unresolved(
+    def _exceeding(
         self, members: Members, counts: np.ndarray, parameters: np.ndarray
     ) -> np.ndarray:
-        """Return the members that the bound of their residual does not accept."""
-        if self._flow.is_short_polynomial:
-            return np.empty(0, dtype=int)
-        owner = np.repeat(np.arange(len(counts)), counts)
-        # The loop leaves one edge more for every member, also for one without windows.
-        left = np.arange(len(owner)) + owner
+        """Return the members with windows that the loop did not bound, and a search refuses."""
+        (left,) = np.nonzero(members["mark"][: counts.sum()] & loops.UNBOUNDED)
+        if not len(left):
+            return left
+        owner = np.repeat(np.arange(len(counts)), counts)[left]
+        edge = left + owner  # there is one edge more for every member, also for one without windows
         pieces = Pieces(
-            members["edge"][left],
-            members["edge"][left + 1],
-            members["state"][left],
-            members["coefficient"][: len(left)],
+            members["edge"][edge],
+            members["edge"][edge + 1],
+            members["state"][edge],
+            members["coefficient"][left],
         )
         checks = WindowChecks(self._flow, self.basis, self._local)
         with np.errstate(all="ignore"):
-            found = checks.unresolved(pieces, members["size"][owner], parameters[owner])
+            found = checks.exceeding(pieces, members["size"][owner], parameters[owner])
         return np.unique(owner[[excess.window for excess in found]])
 
     def march_of(self, batch: Batch, seconds: float, cpu_seconds: float) -> March:
@@ -252,9 +254,9 @@ class MemberSolver:
         )
 
 
-def _selected(array: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Copy rows of an array; a mask would take several times as long for all of them."""
-    return array.copy() if rows.all() else array[rows]
+def _selected(array: np.ndarray, rows: np.ndarray | None) -> np.ndarray:
+    """Copy rows of an array, without a mask all."""
+    return array.copy() if rows is None else array[rows]
 
 
 def march_of(

@@ -77,12 +77,12 @@ def checked_accuracy(
 
     Raise InputError if a value cannot be used.
     """
-    tol = checked_tol(tol)
+    tol, absolute = checked_tol(tol), checked_atol(atol, dim)
     return Accuracy(
         tol,
         # The cost grows as a root of the accuracy: a margin is cheaper than a second march.
         max(_LOCAL * tol, SMALLEST),
-        np.broadcast_to(checked_atol(atol, dim), (dim,)),
+        np.array(absolute * dim if len(absolute) == 1 else absolute),
         checked_window(max_window, span, abs(span[1] - span[0]) / FEWEST_WINDOWS, MAX_WINDOWS),
     )
 

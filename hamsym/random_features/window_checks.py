@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hamsym.bounds.models import NODES, resolved
+from hamsym.bounds.discs import decade_of, disc_tables
+from hamsym.bounds.models import DEGREE, NODES, PLACES, bounded, model_tables
 from hamsym.bounds.residual import Excess, ExcessSearch, Parts, Places, largest_ratios
 from hamsym.kernel import loops
 from hamsym.numerics.collocation import collocation
@@ -95,12 +96,27 @@ class WindowChecks:
         if self.flow.is_short_polynomial:
             return []
         given = self.flow.parameters if parameters is None else parameters
-        left = self._left(pieces, sizes, given)
+        left = np.flatnonzero(~self._bounded(pieces, sizes, given))
         if not len(left):
             return []
         pieces = Pieces(*(array[left] for array in pieces))
         sizes = sizes if sizes.ndim == 1 else sizes[left]
         given = given if given.ndim == 1 else given[left]
+        found = self.exceeding(pieces, sizes, given, first_only=first_only)
+        return [excess._replace(window=int(left[excess.window])) for excess in found]
+
+    def exceeding(
+        self,
+        pieces: Pieces,
+        sizes: np.ndarray,
+        given: np.ndarray,
+        *,
+        first_only: bool = False,
+    ) -> list[Excess]:
+        """Search windows, by halves, for those whose residual is larger between the points.
+
+        - sizes, given: Sizes of components and values of parameters, for all or for each window.
+        """
         lengths = np.abs(pieces.end - pieces.start)[:, None]
         largest = np.abs(self._at(pieces, Parts.whole(len(lengths)), NODES).rates).max(axis=1)
         limits = self.tolerance * sizes + _ROUND_OFF * lengths * largest
@@ -115,17 +131,16 @@ class WindowChecks:
             *(self.flow.programs, rates, trial, np.stack((pieces.start, pieces.end))),
             *(limits, given, SLACK * _NOISE, first_only),
         )
-        return [excess._replace(window=int(left[excess.window])) for excess in search.run()]
+        return search.run()
 
-    def _left(self, pieces: Pieces, sizes: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-        """Return the windows that the bound on the whole of each does not accept."""
-        values, rates = _rows(self.basis)
-        found = resolved(
+    def _bounded(self, pieces: Pieces, sizes: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        """Return whether the bound on the whole of each window accepts it, shape (windows,)."""
+        return bounded(
             self.flow.programs,
+            bound_tables(self.basis, self.tolerance),
             loops.Pieces(
                 windows=len(pieces.start),
                 readout=pieces.readouts.shape[1],
-                columns=len(values),
                 size_stride=sizes.shape[1] if sizes.ndim == 2 else 0,
                 parameter_stride=parameters.shape[1] if parameters.ndim == 2 else 0,
                 tolerance=self.tolerance,
@@ -135,12 +150,8 @@ class WindowChecks:
                 coefficient=pieces.readouts,
                 size=sizes,
                 parameters=parameters,
-                places=(NODES + 1) / 2,
-                values=values,
-                rates=rates,
             ),
         )
-        return np.flatnonzero(~found)
 
     def _energy_changes(self, windows: Windows, sizes: np.ndarray) -> np.ndarray:
         """Return the change of H over each window, in units of the limit."""
@@ -222,11 +233,26 @@ def times_of(pieces: Pieces, parts: Parts, x: np.ndarray) -> np.ndarray:
     return np.asarray(np.clip(t, low[:, None], high[:, None]))
 
 
-@functools.lru_cache(maxsize=16)
-def _rows(basis: FeatureBasis) -> tuple[np.ndarray, np.ndarray]:
-    """Return the columns and their derivatives at the places of models, shape (columns, places)."""
-    found = [np.ascontiguousarray(part.T) for part in _columns(basis, NODES.tobytes())]
-    return found[0], found[1]
+def bound_tables(basis: FeatureBasis, tolerance: float) -> loops.BoundTables:
+    """Return the tables of the bounds of windows for a local tolerance."""
+    return _bound_tables(basis, decade_of(tolerance))
+
+
+@functools.lru_cache(maxsize=64)
+def _bound_tables(basis: FeatureBasis, decade: int) -> loops.BoundTables:
+    columns = _columns(basis, NODES.tobytes())
+    exact = np.longdouble  # multiplied in one order; BLAS has one for each processor
+    values = basis.columns((NODES.astype(exact) + 1) / 2)[0]
+    series = values.T @ collocation(PLACES).to_series[: DEGREE + 1].T.astype(exact)
+    return loops.BoundTables(
+        columns=len(series),
+        models=model_tables(),
+        around=disc_tables(DEGREE + 1, decade),
+        places=(NODES + 1) / 2,
+        values=columns[0].T,
+        rates=columns[1].T,
+        series=series.astype(float),
+    )
 
 
 @functools.lru_cache(maxsize=16)

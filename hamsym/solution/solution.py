@@ -6,7 +6,7 @@ import math
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, overload
 
@@ -124,9 +124,8 @@ class Solution(Saved):
 
     def judged(self, success: bool, message: str) -> Solution:
         """Return the same solution with a verdict; cached properties are kept."""
-        other = replace(self, success=success, message=message)
-        names = {entry.name for entry in fields(self)}
-        other.__dict__.update({n: v for n, v in self.__dict__.items() if n not in names})
+        other = object.__new__(type(self))
+        other.__dict__.update(self.__dict__, success=success, message=message)
         return other
 
     @property
@@ -535,6 +534,18 @@ class Solution(Saved):
         """
         return find_events(self, events, self.scan_times)
 
+    def frequencies(self, *signals: Any, count: int = 6) -> hamsym.Frequencies:
+        """Find the frequencies of the solution; see :func:`hamsym.frequencies`.
+
+        Examples
+        --------
+        >>> import hamsym
+        >>> solution = hamsym.solve("p**2/2 + 2*x**2", [1, 0], (0, 100))
+        >>> solution.frequencies("x").frequency[0, :1].round(6)
+        array([2.])
+        """
+        return hamsym.frequencies(self, *signals, count=count)
+
     def to_dataframe(self, t: Any, *names: Any) -> pandas.DataFrame:
         """Return states at times t as a table of pandas: times as index, components as columns.
 
@@ -621,12 +632,14 @@ class Solution(Saved):
         *,
         certificate: hamsym.Certificate | None = None,
         allow_failed: bool = False,
+        **lesson: Any,
     ) -> None:
-        """Write a module of Python (.py), JSON (.json) or C (.h).
+        """Write a module of Python (.py), JSON (.json), C (.h), or a page that moves (.html).
 
-        Its functions need no hamsym; see :func:`hamsym.export`.
+        They need no hamsym; see :func:`hamsym.export`, also for the options of a page:
+        ``parameters``, ``title``, ``text``.
         """
-        hamsym.export(self, path, certificate=certificate, allow_failed=allow_failed)
+        hamsym.export(self, path, certificate=certificate, allow_failed=allow_failed, **lesson)
 
     def certify(
         self,
@@ -694,7 +707,8 @@ class Solution(Saved):
             where both are lengths or components of one kind else. Three: the path in space. Or
             ``"error"``, the estimated
             errors relative to the sizes of the components, with the tolerance; ``"residual"``,
-            ``"energy"``, or ``"search"``: lengths of the windows, or the loss.
+            ``"energy"``, ``"energies"``, that is the kinetic and the potential energy, or
+            ``"search"``: lengths of the windows, or the best residual of a training over time.
         ax : matplotlib.axes.Axes, optional
             Axes to draw one panel into, in your own style.
         certificate : Certificate, optional

@@ -6,6 +6,7 @@ complete a word in a shell.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable
 from dataclasses import fields
 from typing import Any
@@ -14,7 +15,7 @@ from hamsym.errors import InputError
 from hamsym.networks.methods import LBFGS, Adam, LevenbergMarquardt, NetworkChain, SSBroyden
 from hamsym.random_features.features import Features
 from hamsym.support.method_object import Method
-from hamsym.support.suggestions import did_you_mean, require_known, similar
+from hamsym.support.suggestions import did_you_mean, require_known, similar, unknown
 
 _ALL: tuple[type[Method], ...] = (
     Features,
@@ -40,9 +41,11 @@ def method_of(given: str | Method) -> Method:
     """
     if isinstance(given, Method):
         return given
+    if isinstance(given, str) and given in METHODS:
+        return _by_default(given)
     if isinstance(given, type) and issubclass(given, Method):
         raise InputError(f"method={given.__name__} is a class; give hamsym.{given.__name__}()")
-    if isinstance(given, str) and given not in METHODS:
+    if isinstance(given, str):
         from hamsym.integrators.table import ALIASES, INTEGRATORS  # slow to import
 
         if given in {*INTEGRATORS, *ALIASES}:
@@ -50,8 +53,12 @@ def method_of(given: str | Method) -> Method:
                 f"'{given}' is a method of integrate; call hamsym.integrate, or choose one of "
                 f"{', '.join(METHODS)}"
             )
-    require_known(given, METHODS, "a method")
-    return METHODS[given]()
+    raise InputError(unknown(given, METHODS, "a method", "choose one of"))
+
+
+@functools.cache
+def _by_default(name: str) -> Method:
+    return METHODS[name]()
 
 
 def option_message(

@@ -177,7 +177,7 @@ class Comparison(Drawn, Shown):
 @checked_keywords
 def compare(
     solution: Solution,
-    methods: str | Sequence[str] | None = None,
+    methods: str | Sequence[str] = "usual",
     *,
     points: int | None = None,
     exact: Callable[[np.ndarray], np.ndarray] | None = None,
@@ -199,9 +199,9 @@ def compare(
     ----------
     solution : Solution
     methods : str or sequence of str
-        Names in :data:`hamsym.integrators.table.INTEGRATORS`; by default ``symplectic_euler``, as
-        in the paper, or ``implicit_midpoint`` if a force depends on momenta. ``"usual"`` stands for
-        what is in common use: a symplectic method of order 2, one of order 6, and ``dop853``.
+        Names in :data:`hamsym.integrators.table.INTEGRATORS`, ``"symplectic_euler"`` as in the
+        paper for example. ``"usual"`` stands for what is in common use: a symplectic method of
+        order 2, one of order 6, and ``dop853``.
     points : int, optional
         Number K, by default that of the network's collocation points.
     exact : callable, optional
@@ -222,7 +222,7 @@ def compare(
     --------
     >>> import hamsym
     >>> solution = hamsym.solve("p**2/2 - cos(x)", [1, 0], (0, 5), tol=1e-6)
-    >>> list(compare(solution, "usual").matches)
+    >>> list(compare(solution).matches)
     ['stormer_verlet', 'blanes_moan6', 'dop853']
     """
     if not isinstance(solution, Solution):
@@ -259,11 +259,10 @@ def compare(
     )
 
 
-def chosen_methods(H: Hamiltonian, methods: str | Sequence[str] | None = None) -> list[str]:
+def chosen_methods(H: Hamiltonian, methods: str | Sequence[str]) -> list[str]:
     """Return the names of the integrators of a comparison.
 
-    ``"usual"`` stands for a symplectic method of order 2, one of order 6, and ``dop853``; None for
-    ``symplectic_euler``, or ``implicit_midpoint`` if a force depends on momenta.
+    ``"usual"`` stands for a symplectic method of order 2, one of order 6, and ``dop853``.
 
     Raise InputError if there is none, a name is unknown, or a method cannot be used for this H.
 
@@ -274,8 +273,6 @@ def chosen_methods(H: Hamiltonian, methods: str | Sequence[str] | None = None) -
     >>> chosen_methods(Hamiltonian("x**2*p**2/2 + x**2"), "usual")
     ['implicit_midpoint', 'gauss6', 'dop853']
     """
-    if methods is None:
-        methods = "implicit_midpoint" if H.forces and not H.is_separable else "symplectic_euler"
     names: list[str] = []
     for method in [methods] if isinstance(methods, str) else methods:
         if isinstance(method, str) and method == "usual":

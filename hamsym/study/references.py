@@ -21,7 +21,7 @@ from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.adaptive import reference
 from hamsym.numerics.collocation import chebyshev_values
-from hamsym.proof.enclose import Enclosure, enclose
+from hamsym.proof.windows.enclose import Enclosure, enclose
 
 SAMPLES = 4_000  # largest number of intervals at whose ends errors are measured
 _BETTER = 0.01  # the error of a good reference, in units of the error to be judged

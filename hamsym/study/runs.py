@@ -23,7 +23,7 @@ from hamsym.problems.problem import (
     checked_breakpoints,
     checked_tol,
 )
-from hamsym.proof.certificate import Certificate
+from hamsym.proof.windows.certificate import Certificate
 from hamsym.solution.digest import digest
 from hamsym.solution.solution import Solution
 from hamsym.solving.methods import method_of, option_message

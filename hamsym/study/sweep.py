@@ -19,7 +19,7 @@ from hamsym.archive import load_solution
 from hamsym.errors import FileError, InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.problems.problem import InitialValueProblem
-from hamsym.proof.certificate import Certificate
+from hamsym.proof.windows.certificate import Certificate
 from hamsym.solution.solution import Solution
 from hamsym.study.compare import Row, measure
 from hamsym.study.processes import carry_out

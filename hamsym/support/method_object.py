@@ -10,6 +10,7 @@ import inspect
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -91,7 +92,7 @@ class Method:
         """Solve a :class:`~hamsym.problems.problem.InitialValueProblem`; return a Solution."""
         raise NotImplementedError
 
-    @property
+    @cached_property
     def given(self) -> dict[str, Any]:
         """Options that differ from their defaults, by name."""
         values = {entry.name: (getattr(self, entry.name), entry.default) for entry in fields(self)}

@@ -260,6 +260,6 @@ def require_known(
     name: object, names: Iterable[str], kind: str, remedy: str = "choose one of"
 ) -> None:
     """Raise InputError unless a name is one of some names."""
-    known = list(names)
+    known = [*names]
     if not isinstance(name, str) or name not in known:
         raise InputError(unknown(name, known, kind, remedy))

@@ -44,7 +44,7 @@ def states_array(z0: Any, names: Sequence[str], *, finite: bool = True) -> np.nd
         raise VariableError(f"z0 contains a value that is not a number; give {order}") from None
     if states.shape[-1:] != (len(names),) or not states.size:
         raise VariableError(f"z0 has shape {states.shape}; give the {len(names)} numbers {order}")
-    if finite and not np.all(np.isfinite(states)):
+    if finite and not np.isfinite(states).all():
         name = names[int(np.argwhere(~np.isfinite(states))[0, -1])]
         raise VariableError(f"'{name}' is not finite in z0; give finite numbers")
     return states

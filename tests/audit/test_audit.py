@@ -8,7 +8,7 @@ import mpmath
 import pytest
 from flint import arb
 
-from hamsym.proof.balls import working
+from hamsym.proof.arithmetic.balls import working
 
 from .judging import Verdict, complaints, judged, references
 from .systems import BY_NAME, SYSTEMS, System

@@ -23,10 +23,10 @@ import numpy as np
 
 import hamsym
 from hamsym import systems
-from hamsym.proof.equation import equation_of
 from hamsym.proof.limits import Deadline
-from hamsym.proof.proven_windows import WindowStepper
-from hamsym.proof.window_proof import WindowBounds, WindowProof
+from hamsym.proof.windows.equation import equation_of
+from hamsym.proof.windows.proven_windows import WindowStepper
+from hamsym.proof.windows.window_proof import WindowBounds, WindowProof
 
 from . import markdown
 from .measuring import cpu

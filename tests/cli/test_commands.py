@@ -249,7 +249,7 @@ def test_compare_prints_the_table(capsys: Captured, tmp_path: Path) -> None:
     figure = tmp_path / "c.svg"
     status, out, _ = run(capsys, "compare", *SOLVE, *QUICK, "--plot", str(figure))
     assert status == 1
-    assert re.search(r"symplectic_euler +2,000 +2,000 ", out)
+    assert re.search(r"stormer_verlet +2,000 +2,000 ", out)
     assert "for the network's error" in out
     assert max(map(len, out.splitlines()[:-1])) <= 80
     assert b"<svg" in figure.read_bytes()
@@ -518,7 +518,19 @@ BAD = [
     (["derive", "p**2 + k*x**2", "--param", "k=one"], "is a variable"),
     (["derive", "p**2 + k*x**2", "-P", "k=1", "-P", "k=2"], "'k' occurs twice"),
     (["derive"], "Missing argument 'H'"),
-    (["derive", OSCILLATOR, "--colour"], "--colour"),
+    (["derive", OSCILLATOR, "--colour"], "--colour is not an option of derive; 'hamsym derive"),
+    (
+        ["section", OSCILLATOR, "--surface", "x = 0"],
+        "--surface is not an option of section; give --at",
+    ),
+    (["section", OSCILLATOR, "--where", "x = 0"], "give --at"),
+    (["solve", OSCILLATOR, "--z0", "1,1", "--tmax", "1"], "give --t-end"),
+    (["solve", OSCILLATOR, "--z0", "1,1", "--t_end", "1"], "give --t-end"),
+    (["solve", OSCILLATOR, "--t-end", "1"], "give a value of each component, e.g. --z0 x=1,p=0"),
+    (["solve", OSCILLATOR, "--z0", "1,1"], "--t-end is missing"),
+    (["solve", OSCILLATOR, "1,1"], "'1,1' is one argument too many; give it as --z0 1,1"),
+    (["verify", "a.hamsym", "a.certificate"], "give it as --certificate a.certificate"),
+    (["source", "p**2/2", "+ x"], "'+ x' is one argument too many; quotes keep a formula in one"),
     (["integral"], "No such command 'integral'"),
     (["source", OSCILLATOR, "--part", "lagrangian"], "'lagrangian' is not a function"),
     (["source", OSCILLATOR, "--backend", "rust"], "rust"),
@@ -589,6 +601,20 @@ BAD = [
         "tol=1.0",
     ),
 ]
+
+
+def test_a_system_of_the_catalogue_takes_the_place_of_h(capsys: Captured) -> None:
+    status, out, err = run(capsys, "solve", "harmonic_oscillator", "--t-end", "2")
+    assert (status, err) == (0, "")
+    assert out.startswith(
+        "harmonic_oscillator: system of the catalogue; usual are --z0 x=1,p=0 and"
+    )
+    assert "\nH = p**2/2" in out
+    status, out, _ = run(capsys, "solve", "harmonic_oscillator", "--t-end", "2", "--json")
+    values = json.loads(out)
+    assert (values["H"][:6], values["span"]) == ("p**2/2", [0.0, 2.0])
+    status, out, _ = run(capsys, "integrate", "kepler", "--steps", "50")
+    assert "50 steps to t = 6.28319" in out
 
 
 @pytest.mark.parametrize(("arguments", "message"), BAD, ids=[" ".join(b[0])[:50] for b in BAD])

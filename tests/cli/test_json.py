@@ -26,6 +26,7 @@ COMMANDS: dict[str, list[str]] = {
     "solve": [OSCILLATOR, *START],
     "integrate": [OSCILLATOR, *START, "--tol", "1e-6"],
     "compare": [OSCILLATOR, *START, "--tol", "1e-4"],
+    "fit": ["p**2/2 - g*cos(theta)", "swing.csv", "--free", "g=1.4", "--z0", "theta=0.9,p=0"],
     "lyapunov": [OSCILLATOR, "--z0", "1,0", "--t-end", "50"],
     "section": [OSCILLATOR, "--z0", "1,0", "--t-end", "20", "--at", "x = 0, p > 0"],
     "invariants": [KEPLER],
@@ -58,6 +59,7 @@ def test_every_command_is_tested() -> None:
     assert cli.commands.keys() - WITHOUT == COMMANDS.keys()
 
 
+@pytest.mark.slow_cases("fit")
 @pytest.mark.parametrize("command", COMMANDS)
 def test_results_are_one_object(
     command: str, capsys: Captured, folder: Path, monkeypatch: pytest.MonkeyPatch
@@ -147,6 +149,7 @@ def test_several_trajectories_have_a_verdict_each(capsys: Captured) -> None:
         (["integral"], 2, "No such command 'integral'"),
         (["certify", "no/such/file"], 2, "no/such/file"),
         (["systems", "keppler"], 2, "did you mean 'kepler'"),
+        (["fit", OSCILLATOR, "no.csv", "--free", "x=1"], 2, "no.csv"),
     ],
 )
 def test_errors_are_objects(

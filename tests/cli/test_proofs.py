@@ -11,7 +11,7 @@ import pytest
 
 import hamsym
 from hamsym import Certificate
-from hamsym.proof.certificate import rounded_down
+from hamsym.proof.windows.certificate import rounded_down
 from hamsym.random_features.method import solve_by_features
 from tests.cli.test_commands import Captured, run
 

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import textwrap
 import traceback
+from collections.abc import Iterable
 from pathlib import Path
 
 import numba
@@ -231,13 +232,13 @@ FORMULAS = {
 }
 
 
-def sum_of_formulas() -> Hamiltonian:
+def sum_of_formulas(formulas: Iterable[str] = FORMULAS) -> Hamiltonian:
     """Return a Hamiltonian with one formula for each degree of freedom."""
     terms = []
-    for i, formula in enumerate(FORMULAS):
+    for i, formula in enumerate(formulas):
         own = re.sub(r"\b[xp]\b", lambda name, i=i: f"{name.group()}{i}", formula)
         terms.append(f"p{i}**2/2 + {own}")
-    names = [[f"{letter}{i}" for i in range(len(FORMULAS))] for letter in "xp"]
+    names = [[f"{letter}{i}" for i in range(len(terms))] for letter in "xp"]
     return Hamiltonian(" + ".join(terms), q=names[0], p=names[1], parameters={"k": 1.3})
 
 

@@ -17,10 +17,10 @@ from hamsym.codegen.generate import generate
 from hamsym.codegen.names import Names
 from hamsym.codegen.system import load
 from hamsym.errors import CodeGenerationError
-from hamsym.proof import functions
-from hamsym.proof.balls import working
-from hamsym.proof.functions import BALLS, SingularityError
-from hamsym.proof.generated import evaluated
+from hamsym.proof.arithmetic import functions
+from hamsym.proof.arithmetic.balls import working
+from hamsym.proof.arithmetic.functions import BALLS, SingularityError
+from hamsym.proof.arithmetic.generated import evaluated
 
 _BITS, _DIGITS = 170, 40
 _POWERS = {"reciprocal", "root", "reciprocal_root", "general_power"}

@@ -29,7 +29,7 @@ MODULES = ["hamsym"] + [
 ]
 
 # Modules that only the extra hamsym[explore] can import.
-_OF_PAGES = {f"hamsym.workbench.explore.{name}" for name in ("page", "tab_panels", "values_panel")}
+_OF_PAGES = {f"hamsym.workbench.explore.{name}" for name in ("page", "tab_panels")}
 
 
 class _Finder(doctest.DocTestFinder):

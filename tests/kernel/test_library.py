@@ -23,8 +23,9 @@ from setuptools.errors import CompileError
 import hamsym
 from hamsym.bounds import models
 from hamsym.errors import FileError, HamsymError, InputError
-from hamsym.kernel import build_backend, enclosures, library, loops
+from hamsym.kernel import build_backend, enclosures, library
 from hamsym.random_features import window_checks
+from hamsym.random_features.error_estimate import _PERTURBATIONS
 
 ROOT = Path(hamsym.__file__).parents[1]
 # Numbers of fesetround: upward, downward, towards zero.
@@ -277,6 +278,7 @@ def test_constants_stand_in_sources_and_package_alike() -> None:
     assert (balls["SMALL"], balls["UNDERFLOW_ERROR"]) == (enclosures.TINY, enclosures.UNDERFLOW)
     assert (errors["SLACK"], march["ROUND_OFF"]) == (window_checks.SLACK, window_checks._ROUND_OFF)
     assert (own["DEGREE"], own["PLACES"]) == (models.DEGREE, models.PLACES)
-    assert errors["PERTURBATIONS"] == loops.PERTURBATIONS == loops.VECTORS - 2
+    counts = {errors[name] - 2 for name in ("EACH_MOST", "EACH_FEWER")}
+    assert counts == {perturbations for perturbations, _ in _PERTURBATIONS.values()}
     for name in ("NOISE", "LEAST_INSIDE", "INSIDE", "SMALL_INSIDE"):
         assert of["march.c"][name] == getattr(window_checks, f"_{name}")

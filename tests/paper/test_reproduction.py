@@ -252,7 +252,9 @@ def test_how_many_points_euler_needs(error, verdict):
     """By one run of 100 K steps with an error of 6e-3, which falls as the steps grow."""
     problem = hamsym.systems.nonlinear_oscillator()
     solution = hamsym.solve(problem.H, problem.z0, (0, 4 * math.pi), tol=1e-6)
-    comparison = hamsym.compare(solution, points=200, exact=problem.exact, max_steps=20_000)
+    comparison = hamsym.compare(
+        solution, "symplectic_euler", points=200, exact=problem.exact, max_steps=20_000
+    )
     assert euler(comparison, 100)[0].error == pytest.approx(6e-3, rel=0.01)
     taken = _Claims()
     judge_steps(taken, comparison, {"error": [error] * 3}, "III", 100)

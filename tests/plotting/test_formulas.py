@@ -24,7 +24,7 @@ def test_a_formula_is_drawn_over_time_with_its_unit(oscillator: hamsym.Trajector
     (axes,) = figure.axes
     t, values = axes.lines[0].get_data()
     np.testing.assert_allclose(values, np.sin(t) ** 2 / 2, atol=1e-7)
-    assert axes.get_ylabel() == "$p^{2} / 2 m$ [kg·m$^{2}$/s$^{2}$]"
+    assert axes.get_ylabel() == r"$\frac{p^{2}}{2 m}$ [kg·m$^{2}$/s$^{2}$]"
     check_layout(figure)
 
 

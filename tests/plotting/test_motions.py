@@ -119,6 +119,41 @@ def test_texts_of_a_path_in_space_do_not_overlap() -> None:
     assert figure.axes[0].name == "3d"
 
 
+@pytest.mark.slow
+def test_bodies_in_space_are_drawn_in_space_and_along_each_axis() -> None:
+    kinetic = "+".join(f"p_{k}{i}**2/2" for i in "12" for k in "xyz")
+    H = hamsym.Hamiltonian(f"{kinetic} - 1/sqrt((x1-x2)**2 + (y1-y2)**2 + (z1-z2)**2)")
+    start = dict.fromkeys(H.names, 0.0) | {"x1": -1, "x2": 1, "p_y1": -0.4, "p_y2": 0.4, "z1": 0.1}
+    figure = hamsym.integrate(H, start, (0, 9), steps=200).plot()
+    check_layout(figure)
+    spatial = [axes for axes in figure.axes if axes.name == "3d"]
+    assert len(spatial) == 1
+    assert [axes.get_title("left") for axes in figure.axes][13:16] == [
+        f"Seen along ${k}$" for k in "zyx"
+    ]
+    names = [text.get_text() for text in figure.axes[13].get_legend().get_texts()]
+    assert names == ["($x_{1}$, $y_{1}$)", "($x_{2}$, $y_{2}$)"]
+
+
+def test_kinetic_and_potential_energy_add_up() -> None:
+    start = {"r": 1, "phi": 0, "p_r": 0, "p_phi": 1.1}
+    found = hamsym.integrate("p_r**2/2 + p_phi**2/(2*r**2) - 1/r", start, (0, 5), tol=1e-9)
+    axes = found.plot("energies").axes[0]
+    lines = {line.get_label(): line.get_ydata() for line in axes.lines}
+    assert list(lines) == ["$H$", "potential", "kinetic"]
+    np.testing.assert_allclose(lines["kinetic"] + lines["potential"], lines["$H$"], atol=1e-14)
+    assert lines["potential"][0] == pytest.approx(-1)
+    many = hamsym.integrate("p**2/2 + x**2/2", [[1, 0], [2, 0]], (0, 5), steps=50)
+    with pytest.raises(InputError, match="energies are drawn of one trajectory, not of 2"):
+        many.plot("energies")
+
+
+def test_near_values_have_different_legend_entries() -> None:
+    many = hamsym.integrate(PENDULUM, {"theta": [1.00001, 1.00002, 2], "p": 0.0}, (0, 1), steps=9)
+    texts = [text.get_text() for text in many.plot("theta").axes[0].get_legend().get_texts()]
+    assert texts == ["1.00001", "1.00002", "2"]
+
+
 @pytest.mark.slow_cases("13", "3", "12")
 @pytest.mark.parametrize("count", [3, 12, 13])
 def test_texts_of_ensembles_do_not_overlap(count: int) -> None:

@@ -19,9 +19,9 @@ from hamsym.orbits.certificate import OrbitCertificate
 from hamsym.plotting.equilibria import energy_at_rest
 from hamsym.plotting.names import energy_unit
 from hamsym.plotting.sections import _directions
-from hamsym.proof.ball import Ball
-from hamsym.proof.box_certificate import BoxCertificate
-from hamsym.proof.certificate import Certificate
+from hamsym.proof.arithmetic.ball import Ball
+from hamsym.proof.boxes.box_certificate import BoxCertificate
+from hamsym.proof.windows.certificate import Certificate
 from tests.plotting.inspection import check_layout
 
 HENON_HEILES = "(p_x**2+p_y**2)/2 + (x**2+y**2)/2 + x**2*y - y**3/3"
@@ -200,11 +200,42 @@ def test_orbit_is_drawn_by_names(orbit: hamsym.PeriodicOrbit, names: Any, panels
     assert len(orbit.plot(*names).axes) == panels
 
 
-def test_large_multipliers_have_readable_ticks() -> None:
+def test_large_multipliers_are_in_an_inset_beside_a_round_circle() -> None:
     matrix = np.diag([1e7, 0.5, 1e-7, 2.0])
     figure = TangentMap(np.zeros(4), np.zeros(4), matrix, "features").plot()
     check_layout(figure)
-    assert figure.axes[0].get_xscale() == "symlog"
+    [axes] = figure.axes
+    circle, near = axes.lines
+    x, y = axes.transData.transform(circle.get_xydata()).T
+    assert np.ptp(x) == pytest.approx(np.ptp(y), rel=1e-4)
+    np.testing.assert_allclose(np.sort(near.get_xdata()), [1e-7, 0.5])
+    [inset] = axes.child_axes
+    assert inset.get_yscale() == "log"
+    np.testing.assert_allclose(np.sort(inset.lines[0].get_ydata()), [1e-7, 0.5, 2.0, 1e7])
+
+
+@pytest.fixture(scope="module")
+def halo() -> hamsym.PeriodicOrbit:
+    H = hamsym.Hamiltonian(
+        "(p_x**2 + p_y**2 + p_z**2)/2 + y*p_x - x*p_y - (1 - mu)/sqrt((x + mu)**2 + y**2 + z**2)"
+        " - mu/sqrt((x - 1 + mu)**2 + y**2 + z**2)",
+        parameters={"mu": 0.01215058560962404},
+    )
+    guess = [0.82338518, 0, 0.0224, 0, 0.95762658, 0], 2.7464
+    return hamsym.periodic_orbit(H, guess, symmetry={"y": "-y", "p_x": "-p_x", "p_z": "-p_z"})
+
+
+def test_orbit_in_space_is_seen_along_each_axis(halo: hamsym.PeriodicOrbit) -> None:
+    figure = halo.plot()
+    check_layout(figure)
+    named = ["Orbit", "Multipliers: mixed", *(f"Seen along ${k}$" for k in "zyx"), "Energies"]
+    assert titles(figure) == named
+    assert figure.axes[0].name == "3d"
+    seen = figure.axes[3].lines[0]
+    np.testing.assert_allclose(
+        np.ptp(seen.get_ydata()), np.ptp(halo(np.linspace(0, 3, 999))[:, 2]), rtol=1e-3
+    )
+    assert halo.plot("orbit").axes[0].name == "3d"
 
 
 def test_multipliers_that_are_not_finite_are_counted() -> None:
@@ -491,6 +522,35 @@ def test_legend_of_a_section_names_the_starts(start: Any, title: str, entries: l
     legend = figure.axes[0].get_legend()
     assert legend.get_title().get_text() == title
     assert [text.get_text() for text in legend.get_texts()] == entries
+
+
+def test_section_has_the_boundary_of_its_energy() -> None:
+    H = hamsym.Hamiltonian(HENON_HEILES)
+    starts = [H.state_at_energy(1 / 8, {"x": 0, "y": y, "p_y": 0}) for y in (0.1, 0.3)]
+    figure = hamsym.section(H, starts, (0, 60), "x = 0, p_x > 0").plot()
+    check_layout(figure)
+    y, p_y = figure.axes[0].lines[-1].get_data()
+    np.testing.assert_allclose(p_y**2 / 2 + y**2 / 2 - y**3 / 3, 1 / 8, atol=1e-4)
+    assert y.max() < 1  # not the other side of the saddle
+    assert y[0] == y[-1]
+    assert "boundary" in figure.caption
+
+
+def test_section_of_a_rotating_frame_is_bounded_where_the_velocity_vanishes() -> None:
+    H = hamsym.Hamiltonian("(p_x**2 + p_y**2)/2 + y*p_x - x*p_y + x**2 + y**2")
+    found = hamsym.section(H, [1, 0, 0.3, 0.8], (0, 30), "y = 0")
+    # dy/dt = p_y - x = 0
+    x, p_x = found.plot().axes[0].lines[-1].get_data()
+    np.testing.assert_allclose(p_x**2 / 2 + x**2 / 2, 0.565, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    "start", [[[0, 0.1, 0.4, 0], [0, 0.1, 0.3, 0]], [[0, 0, 0.1, 0, 0.4, 0]]], ids=["energies", "3"]
+)
+def test_section_without_one_boundary_has_none(start: Any) -> None:
+    more = "" if len(start[0]) == 4 else " + p_w**2/2 + w**2/2"
+    H = hamsym.Hamiltonian(HENON_HEILES + more)
+    assert "boundary" not in hamsym.section(H, start, (0, 20), "x = 0").plot().caption
 
 
 def test_directions_are_those_of_the_velocity() -> None:

@@ -18,8 +18,9 @@ import numpy as np
 from flint import arb
 
 from hamsym.kernel.enclosures import Models as Rows
-from hamsym.proof.balls import working
-from hamsym.proof.programs import Program, Recorder, tables
+from hamsym.numerics.collocation import chebyshev_tables
+from hamsym.proof.arithmetic.balls import working
+from hamsym.proof.arithmetic.programs import Program, Recorder
 
 BITS = 300
 UNIT = 2.0**-53
@@ -296,7 +297,7 @@ class Model:
 
 def ran(L: Any, program: Program, models: Sequence[Model], double: bool) -> Model:
     """The model of the result of a program."""
-    using, rows = tables(TERMS), program.registers
+    using, rows = chebyshev_tables(TERMS), program.registers
     high, low = np.zeros((rows, TERMS)), np.zeros((rows, TERMS))
     radius, length = np.zeros(rows), np.ones(rows, dtype=np.int64)
     high[program.constants, 0], radius[program.constants] = program.numbers[:, [0, 2]].T
@@ -532,7 +533,7 @@ def _flow(matrix: np.ndarray, times: np.ndarray) -> np.ndarray:
 def guess(case: Transport) -> np.ndarray:
     """Coefficients of V, shape (dim, columns, terms)."""
     dim, columns = case.A.shape
-    using = tables(TERMS)
+    using = chebyshev_tables(TERMS)
     square = np.zeros((columns, columns))
     square[:dim] = case.A
     times = np.zeros(TERMS) if case.flat else case.elapsed(using.points)

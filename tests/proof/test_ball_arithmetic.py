@@ -11,8 +11,9 @@ import pytest
 from flint import arb
 
 import hamsym.kernel
-from hamsym.kernel.enclosures import MIDDLE, TINY, enclosures
-from hamsym.proof.balls import number_of, working
+from hamsym.kernel.enclosures import enclosures
+from hamsym.proof.arithmetic.balls import number_of, working
+from hamsym.proof.arithmetic.directed import MIDDLE, TINY
 from tests.proof.misses import (
     BINARY,
     UNARY,

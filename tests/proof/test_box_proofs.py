@@ -13,8 +13,8 @@ from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.flow_maps.box import checked_box
 from hamsym.flow_maps.compiled_piece import CompiledPiece
 from hamsym.flow_maps.expansion import Chain, Split
-from hamsym.proof.box_certificate import BoxCertificate
-from hamsym.proof.tube import Flow
+from hamsym.proof.boxes.box_certificate import BoxCertificate
+from hamsym.proof.boxes.tube import Flow
 
 QUARTIC = "p**2/2 + x**2/2 + x**4/4"
 HENON = "(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2 + x**2*y - y**3/3"

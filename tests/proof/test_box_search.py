@@ -10,11 +10,11 @@ import sympy
 
 import hamsym
 from hamsym import Hamiltonian
-from hamsym.proof import box_search
-from hamsym.proof.box_search import DEGENERATE, SINGULAR, Search, search_box, singular_term
-from hamsym.proof.derivative_balls import DerivativeBalls
 from hamsym.proof.limits import Deadline
-from hamsym.proof.roots import Root
+from hamsym.proof.zeros import box_search
+from hamsym.proof.zeros.box_search import DEGENERATE, SINGULAR, Search, search_box, singular_term
+from hamsym.proof.zeros.derivative_balls import DerivativeBalls
+from hamsym.proof.zeros.roots import Root
 
 
 def searched(

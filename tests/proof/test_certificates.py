@@ -19,11 +19,11 @@ import hamsym
 from hamsym import systems
 from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.proof import prove
-from hamsym.proof.balls import exact
-from hamsym.proof.certificate import Certificate
-from hamsym.proof.functions import BALLS
-from hamsym.proof.generated import GeneratedFunctions
+from hamsym.proof.arithmetic.balls import exact
+from hamsym.proof.arithmetic.functions import BALLS
+from hamsym.proof.arithmetic.generated import GeneratedFunctions
 from hamsym.proof.prove import verify
+from hamsym.proof.windows.certificate import Certificate
 from hamsym.support.sealed_text import sealed
 from tests.audit.taylor import Equations, integrate
 

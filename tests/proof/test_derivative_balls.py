@@ -9,8 +9,8 @@ from flint import arb
 
 from hamsym import Hamiltonian
 from hamsym.errors import CertificationError
-from hamsym.proof.balls import working
-from hamsym.proof.derivative_balls import DerivativeBalls
+from hamsym.proof.arithmetic.balls import working
+from hamsym.proof.zeros.derivative_balls import DerivativeBalls
 
 
 def test_singular_terms_spoil_only_their_components() -> None:

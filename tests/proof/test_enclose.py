@@ -18,7 +18,7 @@ import hamsym
 from hamsym import Ball, Hamiltonian, enclose
 from hamsym.errors import CertificationError, InputError
 from hamsym.kernel.enclosures import enclosures
-from hamsym.proof.balls import working
+from hamsym.proof.arithmetic.balls import working
 from tests.audit.taylor import Equations, integrate
 from tests.proof.misses import enclosure_misses
 

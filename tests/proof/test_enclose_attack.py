@@ -11,7 +11,7 @@ import sympy
 import hamsym
 from hamsym.errors import InputError
 from hamsym.kernel.enclosures import enclosures
-from hamsym.proof.window_proof import norm_and_parts
+from hamsym.proof.windows.window_proof import norm_and_parts
 
 
 @pytest.mark.parametrize("span", [(1.0, 2.0), (2.0, 1.0), (1e6, 1e6 + 1e-3)])

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from hamsym import Hamiltonian
 from hamsym.codegen.functions import compile_straight_line
 from hamsym.errors import CertificationError
-from hamsym.proof.balls import (
+from hamsym.proof.arithmetic.balls import (
     above,
     at_least,
     at_most,
@@ -27,8 +27,8 @@ from hamsym.proof.balls import (
     exact,
     working,
 )
-from hamsym.proof.functions import BALLS, SingularityError
-from hamsym.proof.generated import GeneratedFunctions, evaluated
+from hamsym.proof.arithmetic.functions import BALLS, SingularityError
+from hamsym.proof.arithmetic.generated import GeneratedFunctions, evaluated
 
 x, y = sympy.symbols("x y", real=True)
 _TERMS = 5

@@ -11,8 +11,8 @@ from types import SimpleNamespace
 import pytest
 
 from hamsym.errors import CertificationError
-from hamsym.proof import float64_arithmetic
-from hamsym.proof.float64_arithmetic import require_float64
+from hamsym.proof.arithmetic import float64_arithmetic
+from hamsym.proof.arithmetic.float64_arithmetic import require_float64
 
 # Settings of the processor are changed in processes of their own.
 _ENTRIES = """

@@ -9,9 +9,9 @@ import sympy
 
 import hamsym
 from hamsym.errors import CertificationError
-from hamsym.proof.equation import Equation
-from hamsym.proof.functions import BALLS
-from hamsym.proof.generated import GeneratedFunctions
+from hamsym.proof.arithmetic.functions import BALLS
+from hamsym.proof.arithmetic.generated import GeneratedFunctions
+from hamsym.proof.windows.equation import Equation
 
 C, K = 0.2, 1.5
 DAMPED = hamsym.Hamiltonian("p**2/2 + k*x**2/2", forces={"p": "-c*p"}, parameters={"c": C, "k": K})

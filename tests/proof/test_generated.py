@@ -7,9 +7,9 @@ from flint import arb, arb_series
 
 from hamsym import Hamiltonian
 from hamsym.errors import CertificationError
-from hamsym.proof.balls import ball, working
-from hamsym.proof.functions import BALLS, SingularityError
-from hamsym.proof.generated import GeneratedFunctions
+from hamsym.proof.arithmetic.balls import ball, working
+from hamsym.proof.arithmetic.functions import BALLS, SingularityError
+from hamsym.proof.arithmetic.generated import GeneratedFunctions
 
 H = Hamiltonian("p**2/2 + k*x**n + 0.1*x", parameters={"k": 0.3, "n": 3.0})
 

@@ -24,14 +24,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-import hamsym.proof.enclose
-import hamsym.proof.guessed_windows
-import hamsym.proof.programs
-import hamsym.proof.proven_windows
+import hamsym.proof.arithmetic.programs
+import hamsym.proof.windows.enclose
+import hamsym.proof.windows.guessed_windows
+import hamsym.proof.windows.window_lemma
+import hamsym.proof.windows.window_sets
 from hamsym.kernel import build_backend
 from hamsym.kernel.enclosures import Enclosures, enclosures
 from hamsym.kernel.library import chosen_level
-from hamsym.proof.balls import working
+from hamsym.proof.arithmetic.balls import working
 from tests.proof.misses import (
     FORMULAS,
     Model,
@@ -545,13 +546,14 @@ _NO_POLYNOMIAL = ("sizes[i] = up(error + total)", "sizes[i] = up(error)")
 
 
 def enclosed_misses(L: Any, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    own = hamsym.proof.guessed_windows, hamsym.proof.proven_windows
-    for module in (*own, hamsym.proof.enclose, hamsym.proof.programs):
+    windows = hamsym.proof.windows
+    own = windows.guessed_windows, windows.window_lemma, windows.window_sets, windows.enclose
+    for module in (*own, hamsym.proof.arithmetic.programs):
         monkeypatch.setattr(module, "enclosures", lambda: L)
     found = []
     for name in ("pendulum", "morse", "henon_heiles"):
         case = PROBLEMS[name]
-        enclosure = hamsym.proof.enclose.enclose(case.formula, case.z0, case.span)
+        enclosure = hamsym.proof.windows.enclose.enclose(case.formula, case.z0, case.span)
         times = sampled(case.span)
         found += enclosure_misses(L, enclosure, times, reference(case, times))
     return found

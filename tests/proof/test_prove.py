@@ -11,9 +11,9 @@ import pytest
 import hamsym
 from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.proof import prove
-from hamsym.proof.certificate import Certificate, rounded_down
 from hamsym.proof.prove import verify
-from hamsym.proof.window_proof import WindowProof
+from hamsym.proof.windows.certificate import Certificate, rounded_down
+from hamsym.proof.windows.window_proof import WindowProof
 from hamsym.support.sealed_text import sealed
 
 

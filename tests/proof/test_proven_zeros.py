@@ -10,9 +10,9 @@ import sympy
 from flint import arb
 
 from hamsym import Hamiltonian
-from hamsym.proof.balls import working
-from hamsym.proof.derivative_balls import DerivativeBalls
-from hamsym.proof.roots import enclosed_root, polynomial_roots
+from hamsym.proof.arithmetic.balls import working
+from hamsym.proof.zeros.derivative_balls import DerivativeBalls
+from hamsym.proof.zeros.roots import enclosed_root, polynomial_roots
 
 
 def potential_of_slope(zeros: list[float]) -> str:

@@ -13,8 +13,10 @@ from hamsym.errors import CertificationError
 from hamsym.flow_maps.expansion import Leg
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.orbits.orbit import PeriodicOrbit
-from hamsym.proof.enclose import Enclosure
-from hamsym.proof.public_check import check_map, check_solution, require_same
+from hamsym.proof.boxes.public_map import check_map
+from hamsym.proof.public_check import require_same
+from hamsym.proof.windows.enclose import Enclosure
+from hamsym.proof.windows.public_windows import check_solution
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.solution.solution import Solution
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hamsym import Hamiltonian
-from hamsym.proof.derivative_balls import DerivativeBalls
-from hamsym.proof.roots import enclosed_root
+from hamsym.proof.zeros.derivative_balls import DerivativeBalls
+from hamsym.proof.zeros.roots import enclosed_root
 
 H = Hamiltonian("(p_x**2 + p_y**2)/2 + cos(x - y) - 3*x/(2*(1 + y**2)) + atan(2*x)/2 + y**2")
 

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from flint import arb
 
+import hamsym
+from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.kernel.enclosures import enclosures
-from hamsym.proof.balls import working
-from hamsym.proof.equation import Equation
-from hamsym.proof.guessed_windows import WindowGuess
-from hamsym.proof.programs import ModelRows
-from hamsym.proof.proven_windows import ErrorSet, set_sizes
+from hamsym.proof.arithmetic.balls import number_of, working
+from hamsym.proof.windows.equation import Equation
+from hamsym.proof.windows.window_lemma import TooLongError, WindowLemma
+from hamsym.proof.windows.window_sets import ErrorSet, Place, set_sizes
 from tests.proof.misses import TERMS, exact_polynomials
 
 _BITS = 300
@@ -140,19 +141,56 @@ def test_sizes_over_a_window_bound_the_exact_values():
                 assert total <= Fraction(float(bounds[i]))
 
 
-def test_polynomial_from_its_start_has_normal_low_parts():
-    """Bounds of products leave out those of two low parts, which only small ones allow."""
+def _lemma():
     equation = Equation(Hamiltonian("p**2/2 + x**2/2"))
-    guess = WindowGuess(equation, 1, np.array([0.0, 1.0]), 1e-20, 32)
-    models = ModelRows(equation.rates, 32)
-    for high, low in ((1.0, 1e-17), (1.0, -1.1e-16), (1e-30, 1e-47), (0.0, 0.0), (3.0, 2e-16)):
-        models.high[:2], models.low[:2] = 0.0, 0.0
-        models.high[:2, 0], models.low[:2, 0] = high, low
-        guess.start(models)
-        starts = [Fraction(models.high[i, 0]) + Fraction(models.low[i, 0]) for i in range(2)]
-        assert abs(starts[0]) < 1e-15
-        assert abs(starts[1] - 1) < 1e-15
-        assert (np.abs(models.low) <= 2.0**-53 * np.abs(models.high)).all()
+    lemma = WindowLemma(equation, 1, np.array([0.0, 1.0]), np.zeros(2), 32)
+    half = Fraction(1, 8)
+    lemma.enter(Place(half, 0.125, number_of(half), number_of(half)))
+    return lemma
+
+
+def test_low_parts_of_any_polynomial_become_normal():
+    """Bounds of products leave out those of two low parts, which only small ones allow."""
+    lemma = _lemma()
+    for high, low in ((1.0, 1e-17), (1.0, -1.1e-16), (1e-30, 1e-47), (0.0, 0.0), (3.0, 2e-3)):
+        lemma.bound_defect(np.full((2, 32), high), np.full((2, 32), low))
+        own, rest = lemma.y
+        assert (np.abs(rest) <= 2.0**-53 * np.abs(own)).all()
+        assert Fraction(own[0, 0]) + Fraction(rest[0, 0]) == Fraction(high) + Fraction(low)
+
+
+def test_windows_without_a_relative_bound_of_their_length_are_refused():
+    with pytest.raises(CertificationError, match="another unit of time"):
+        hamsym.enclose("p**2/2 + x**2/2", [1, 0], (0, 1e-310))
+
+
+def test_bounds_of_a_poor_guess_are_wide_or_refused():
+    """The lemma holds for any y, V and units: here for the flow of the oscillator from (0, 1)."""
+    rng, wide = np.random.default_rng(5), 0
+    for k in range(40):
+        lemma = _lemma()
+        x = np.linspace(-1, 1, 33) if k % 2 else np.array([-1.0, 1.0])
+        size = 10.0 ** rng.uniform(-12, 0)
+        high = rng.normal(size=(2, 32)) * size * 0.5 ** np.arange(32)
+        high[1, 0] += 1
+        lemma.bound_defect(high, rng.normal(size=(2, 32)) * size)
+        V = rng.normal(size=(2, 2, 32)) * size * 0.5 ** np.arange(32)
+        V[:, :, 0] += np.eye(2)
+        units = 10.0 ** rng.uniform(-3, 3, 2)
+        try:
+            found = lemma.bounds(V, units, lemma.start(), np.full(2, 1e-280), k % 3 == 0)
+        except TooLongError:
+            continue
+        wide += 1
+        basis = np.polynomial.chebyshev.chebvander(x, 31)
+        y = basis @ (lemma.y[0] + lemma.y[1]).T
+        time = (x + 1) / 8
+        true = np.stack([np.sin(time), np.cos(time)], axis=1)
+        assert (np.abs(true - y) <= found.tube + 1e-14).all()
+        flow = np.array([[np.cos(time), np.sin(time)], [-np.sin(time), np.cos(time)]])
+        apart = np.abs(np.moveaxis(flow, 2, 0) - np.moveaxis(V @ basis.T, 2, 0))
+        assert (apart <= found.derivative + 1e-14).all()
+    assert wide > 5
 
 
 @pytest.mark.parametrize(("n", "k", "m"), [(1, 1, 1), (3, 5, 4), (2, 0, 3), (0, 2, 2), (4, 3, 0)])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from flint import arb
 
-from hamsym.proof.spectrum import block_spectra
+from hamsym.proof.zeros.spectrum import block_spectra
 
 
 def balls(matrix: object, radius: float = 0.0) -> list[list[arb]]:

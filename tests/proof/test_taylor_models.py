@@ -8,11 +8,11 @@ import pytest
 import sympy
 
 from hamsym.codegen.functions import compile_straight_line
-from hamsym.proof.balls import working
-from hamsym.proof.functions import SingularityError
-from hamsym.proof.generated import evaluated
-from hamsym.proof.map_models import _lower_powers, affine_models
-from hamsym.proof.taylor_models import BITS, MODELS, Model, Space
+from hamsym.proof.arithmetic.balls import working
+from hamsym.proof.arithmetic.functions import SingularityError
+from hamsym.proof.arithmetic.generated import evaluated
+from hamsym.proof.arithmetic.taylor_models import BITS, MODELS, Model, Space
+from hamsym.proof.boxes.map_models import _lower_powers, affine_models
 
 x, y = sympy.symbols("x y", real=True)
 FORMULAS = {

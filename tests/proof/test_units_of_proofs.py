@@ -9,7 +9,7 @@ import pytest
 import sympy
 
 import hamsym
-from hamsym.proof.guessed_windows import _sizes_of_all
+from hamsym.proof.windows.guessed_windows import _sizes_of_all
 
 
 def in_units(solution, lengths, energy, time):

@@ -30,9 +30,9 @@ EXTENDED = np.finfo(np.longdouble).eps < 1e-18
 
 def _extended_residuals(windows: March, basis: FeatureBasis, field: Any) -> Iterator[np.ndarray]:
     """The residual of each window at its places in extended precision, shape (dim, places)."""
-    places = error_tables(basis)["place"]
+    place = error_tables(basis)["place"].astype(np.longdouble)
+    values, slopes = basis.columns(place)
     for w, readout in enumerate(windows.readouts.astype(np.longdouble)):
-        values, slopes = basis.columns(places[w % len(places)].astype(np.longdouble))
         length = np.longdouble(windows.edges[w + 1]) - np.longdouble(windows.edges[w])
         z = (windows.states[w].astype(np.longdouble) + values @ readout).T
         rates = np.stack([np.broadcast_to(row, z.shape[1:]) for row in field(*z)])

@@ -89,7 +89,7 @@ def scene_of(
             raise InputError(f"'{formula}' is a formula, which is drawn in a plane; leave kind out")
         return _plane(motion, drawn)
     if kind is None:
-        kind, chosen = _suggested(H, chosen) if lengths is None else ("pendulum", chosen)
+        kind, chosen = suggested_kind(H, chosen) if lengths is None else ("pendulum", chosen)
     if kind not in KINDS:
         raise InputError(f"kind={kind!r} is unknown; give one of {', '.join(KINDS)}")
     if lengths is not None and kind != "pendulum":
@@ -112,8 +112,13 @@ def _listed(names: Sequence[str]) -> str:
     return f"{', '.join(names[:4])} ... {names[-1]}"
 
 
-def _suggested(H: Hamiltonian, chosen: list[int]) -> tuple[str, list[int]]:
-    """Return a kind of picture and components."""
+def suggested_kind(H: Hamiltonian, chosen: list[int]) -> tuple[str, list[int]]:
+    """Return the kind of picture that the names of coordinates suggest, and components.
+
+    Raise InputError if they suggest none.
+
+    - chosen: Components that were named.
+    """
     d = H.dof
     if chosen:
         phase = len(chosen) == 2 and abs(chosen[0] - chosen[1]) == d
@@ -297,19 +302,27 @@ def _pendulum(motion: Motion, chosen: list[int], lengths: Any) -> Scene:
     )
 
 
+def rod_parameters(H: Hamiltonian, count: int, varied: Sequence[str] = ()) -> list[str]:
+    """Return the parameters that are the lengths of rods by their names; none if H has no such."""
+    known = [name for name in H.parameters if name not in varied]
+    for shape in ("l{}", "L{}", "l_{}", "L_{}"):
+        listed = [shape.format(k + 1) for k in range(count)]
+        if all(name in known for name in listed):
+            return listed
+    return next(([name] * count for name in ("l", "L") if name in known), [])
+
+
 def _lengths(motion: Motion, chosen: list[int], lengths: Any) -> tuple[np.ndarray, str]:
     """Return the lengths of rods, and where they are from."""
     H, count = motion.H, len(chosen)
     known = H.parameters
     if lengths is None:
-        for shape in ("l{}", "L{}", "l_{}", "L_{}"):
-            listed = [shape.format(k + 1) for k in range(count)]
-            if all(name in known and name not in motion.varied for name in listed):
-                return _checked([known[name] for name in listed]), "lengths " + ", ".join(listed)
-        for name in ("l", "L"):
-            if name in known and name not in motion.varied:
-                return _checked([known[name]] * count), f"length {name}"
-        return np.ones(count), "equal lengths"
+        names = rod_parameters(H, count, motion.varied)
+        if not names:
+            return np.ones(count), "equal lengths"
+        one = len(set(names)) == 1 and names[0][-1].isalpha()
+        source = f"length {names[0]}" if one else "lengths " + ", ".join(names)
+        return _checked([known[name] for name in names]), source
     given = [lengths] if isinstance(lengths, str) or np.ndim(lengths) == 0 else list(lengths)
     if len(given) == 1:
         given *= count

@@ -25,9 +25,10 @@ _HEADERS = [
     (b"x-content-type-options", b"nosniff"),
 ]
 _REFUSAL = b"This page needs the whole address that hamsym explore printed, with its token.\n"
-# Nothing is fetched from another machine; Vue compiles its templates, which counts as eval.
+# Nothing is fetched from another machine; Vue compiles its templates, which counts as eval, and
+# the code of H is a module from memory.
 _POLICY = (
-    b"default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; "
+    b"default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; "
     b"style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; "
     b"connect-src 'self'; frame-ancestors 'none'; base-uri 'self'; form-action 'self'"
 )

@@ -1,29 +1,29 @@
-// Give both axes one scale: [[low, high], [low, high]] become parts of the plot's sides.
-window.hamsymEqualScales = (chart, options) => {
-  const grid = options.grid;
-  const sides = [chart.getWidth() - grid.left - grid.right, chart.getHeight() - grid.top - grid.bottom];
-  const scale = Math.max(...options.equal.map(([low, high], k) => (1.1 * (high - low)) / sides[k]));
-  if (!(scale > 0)) return;
-  [options.xAxis, options.yAxis].forEach((axis, k) => {
-    const middle = (options.equal[k][0] + options.equal[k][1]) / 2;
-    axis.min = middle - (scale * sides[k]) / 2;
-    axis.max = middle + (scale * sides[k]) / 2;
-    axis.axisLabel = { hideOverlap: true, showMinLabel: false, showMaxLabel: false };
-  });
+// The player of the page, which shows what Python sends, and the address, which keeps its values.
+// Names with a dot are those of the page; all others are variables of H, or the time span.
+
+const state = {};
+let player = null;
+
+const keep = () => keepInAddress({ ...(player?.problem ? player.values : {}), ...state });
+
+/** Keep what belongs to the page in the address, such as H and the tab. */
+window.hamsymKeep = (values) => {
+  Object.assign(state, values);
+  for (const name of Object.keys(state)) if (state[name] === "") delete state[name];
+  keep();
 };
 
-// One message draws all charts: as properties of elements their numbers would be wrapped one by one.
-window.hamsymDraw = (drawn) => {
-  for (const [id, options] of Object.entries(drawn)) {
-    const chart = getElement(Number(id))?.chart;
-    if (!chart) {
-      setTimeout(() => window.hamsymDraw({ [id]: options }), 30);
-      continue;
-    }
-    for (const axis of [options.xAxis, options.yAxis]) {
-      if (axis.type === "log") axis.axisLabel.formatter = (value) => value.toExponential(0);
-    }
-    if (options.equal) hamsymEqualScales(chart, options);
-    chart.setOption(options, { replaceMerge: ["series"] });
-  }
+/** Texts and values of the address, by name. */
+window.hamsymAddress = () => Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
+
+/** Show a system: its code in JavaScript, its problem, and its present values. */
+window.hamsymShow = async (code, problem, values) => {
+  const url = URL.createObjectURL(new Blob([code], { type: "text/javascript" }));
+  const system = await import(url);
+  URL.revokeObjectURL(url);
+  player ??= new Player(document.querySelector(".player"), (moved) => {
+    keep();
+    emitEvent("moved", moved);
+  });
+  player.load(system, problem, values);
 };

@@ -1,11 +1,11 @@
-"""The page of one tab, built with nicegui."""
+"""The page of one tab, built with nicegui; what moves in it is templates/player."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import json
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -13,9 +13,8 @@ from nicegui import events, ui
 
 from hamsym.errors import HamsymError, InputError
 from hamsym.systems.catalogue import CATALOGUE
-from hamsym.workbench.explore import charts
-from hamsym.workbench.explore.results import Picture
-from hamsym.workbench.explore.session import Latest, Session, Sessions, excerpt
+from hamsym.workbench.explore.results import Motion, Verdict
+from hamsym.workbench.explore.session import SPAN, Latest, Session, Sessions, excerpt
 from hamsym.workbench.explore.setting import Setting
 from hamsym.workbench.explore.tab_panels import (
     CodePanel,
@@ -24,7 +23,7 @@ from hamsym.workbench.explore.tab_panels import (
     build_exponents,
     build_proof,
 )
-from hamsym.workbench.explore.values_panel import ValuesPanel
+from hamsym.workbench.lessons.lesson import player_elements, player_script, player_style
 
 _Event: TypeAlias = events.ValueChangeEventArguments
 _Handler: TypeAlias = Callable[[_Event], Awaitable[None]]
@@ -32,8 +31,8 @@ _Handler: TypeAlias = Callable[[_Event], Awaitable[None]]
 _STYLE = Path(__file__).with_name("page.css")
 _SCRIPT = Path(__file__).with_name("page.js")
 _TYPING = 250  # milliseconds without a key before a formula is read
-_QUIET = 1.0  # seconds without a change before the loops of a section are compiled
-_MOST_CURVES = 6
+_TABS = ("Equations", "Code", "Prove", "Exponents", "Compare", "Download")
+_TOLERANCES = {1e-6: "1e-6", 1e-9: "1e-9", 1e-12: "1e-12"}
 
 
 def build(sessions: Sessions) -> None:
@@ -54,28 +53,49 @@ class Page:
         self._session = session
         self._formula_read = Latest(self._read_formula)
         self._drawing = Latest(self._draw)
-        self._section_drawing = Latest(self._draw_section)
-        self._picture: Picture | None = None
-        self._waiting: asyncio.TimerHandle | None = None
         self._example = ""
         self._filling = False  # fields are being filled by the program
+        self._given: dict[str, float] = {}  # values of the address, for the first system
+        self._is_new = True  # whether the player must get the system before its values
 
     # -- elements ------------------------------------------------------------------------------
 
     def build(self) -> None:
         """Build all elements."""
-        ui.add_css(_STYLE.read_text(encoding="utf-8"))
-        ui.add_body_html(f"<script>{_SCRIPT.read_text(encoding='utf-8')}</script>")
+        ui.dark_mode().auto()
+        ui.add_css(_STYLE.read_text(encoding="utf-8") + player_style())
+        script = f"{player_script()}\n{_SCRIPT.read_text(encoding='utf-8')}"
+        ui.add_body_html(f'<script type="module">{script}</script>')
         self._client = ui.context.client
         with ui.element("div").classes("explore"):
             with ui.element("section").classes("problem").props('aria-label="Problem"'):
                 self._build_problem()
             with ui.element("section").classes("answers").props('aria-label="Results"'):
                 self._build_verdict()
-                self._build_charts()
+                self._player = ui.html(player_elements(), sanitize=False)
                 self._build_tabs()
+        ui.on("moved", self._moved)
         self._session.start()
-        ui.timer(0.05, self._formula_read.request, once=True)
+        ui.timer(0.05, self._begin, once=True)
+
+    async def _begin(self) -> None:
+        """Take the values of the address, and show the first system."""
+        await self._client.connected()
+        texts = await self._client.run_javascript("hamsymAddress()", timeout=30)
+        self._take_address({str(name): str(text) for name, text in texts.items()})
+        await self._formula_read.request()
+
+    def _take_address(self, texts: Mapping[str, str]) -> None:
+        if texts.get(".H"):
+            q, p, forces = (texts.get(f".{name}", "") for name in ("q", "p", "forces"))
+            self._fill(Setting(texts[".H"], q, p, forces))
+        for name, text in texts.items():
+            with contextlib.suppress(ValueError):
+                self._given[name] = float(text)
+        if self._given.get(".tol") in _TOLERANCES:
+            self._tolerance.value = self._given[".tol"]
+        if texts.get(".tab") in _TABS:
+            self._tabs.value = texts[".tab"]
 
     def _build_problem(self) -> None:
         setting = self._session.setting
@@ -111,9 +131,16 @@ class Page:
             self._forces = ui.textarea(
                 "Forces, one a line: p = -c*p", on_change=self._unless_filling(self._typed)
             ).props(f"{dense} autogrow")
-        self._values = ValuesPanel(
-            self._session, self._changed, lambda text: self._say(text, "failed")
-        )
+        with ui.element("div").classes("fields"):
+            self._start = ui.input("from t =", value=f"{setting.span[0]:.10g}")
+            self._start.props("outlined dense").on("blur", self._start_typed)
+            self._start.on("keydown.enter", self._start_typed)
+            self._tolerance = ui.select(
+                {**_TOLERANCES, setting.tol: f"{setting.tol:g}"},
+                label="tolerance",
+                value=setting.tol,
+                on_change=self._tolerance_chosen,
+            ).props("outlined dense options-dense")
 
     def _build_verdict(self) -> None:
         with ui.element("div").classes("verdict").props("role=status aria-live=polite") as box:
@@ -124,39 +151,13 @@ class Page:
         self._stop.set_visibility(False)
         self._verdict = box
 
-    def _build_charts(self) -> None:
-        with ui.element("div").classes("choices"):
-            self._shown = ui.select([], label="Components", multiple=True, value=[]).props(
-                "dense outlined options-dense use-chips"
-            )
-            self._shown.on_value_change(self._unless_filling(self._choice_changed))
-            self._plane = ui.select([], label="Plane").props("dense outlined options-dense")
-            self._plane.on_value_change(self._unless_filling(self._choice_changed))
-            self._surface = ui.input("Section at").props("dense outlined spellcheck=false")
-            self._surface.on("blur", self._surface_typed)
-            self._surface.on("keydown.enter", self._surface_typed)
-        with ui.element("div").classes("charts") as self._grid:
-            self._charts = {
-                name: ui.echart(charts.empty(title), renderer="svg").classes(f"chart {name}")
-                for name, title in {
-                    "coordinates": "Coordinates",
-                    "momenta": "Momenta",
-                    "plane": "Phase portrait",
-                    "errors": "Energy error and estimated error",
-                }.items()
-            }
-            with ui.element("div") as self._section_box:
-                section = ui.echart(charts.empty("Section"), renderer="svg").classes(
-                    "chart section"
-                )
-                self._section_note = ui.label("").classes("section-note")
-            self._charts["section"] = section
-
     def _build_tabs(self) -> None:
-        with ui.tabs().props("dense no-caps align=left mobile-arrows outside-arrows") as tabs:
-            names = ("Equations", "Code", "Prove", "Exponents", "Compare", "Download")
-            made = {name: ui.tab(name) for name in names}
-        panels = ui.tab_panels(tabs, value=made["Equations"], animated=False).props("keep-alive")
+        with ui.tabs(
+            value=_TABS[0], on_change=lambda event: self._keep({".tab": event.value})
+        ) as self._tabs:
+            made = {name: ui.tab(name) for name in _TABS}
+        self._tabs.props("dense no-caps align=left mobile-arrows outside-arrows")
+        panels = ui.tab_panels(self._tabs, value=_TABS[0], animated=False).props("keep-alive")
         with panels.classes("panels"):
             with ui.tab_panel(made["Equations"]):
                 self._facts = ui.label("")
@@ -194,7 +195,6 @@ class Page:
 
     async def _read_formula(self) -> None:
         session = self._session
-        old = session.setting.z0.keys(), session.setting.parameters.keys()
         text = self._formula.value or ""
         name, self._example = self._example, ""
         try:
@@ -209,14 +209,24 @@ class Page:
             return
         self._error.set_visibility(False)
         self._formula.props(remove="error")
-        setting = session.setting
         if name:
-            self._fill(setting)
-        if name or self._values.is_empty or old != (setting.z0.keys(), setting.parameters.keys()):
-            self._values.build()
+            self._fill(session.setting)
+        session.set_values(self._given)
+        self._given = {}
         self._show_derivation()
+        self._keep_formula()
         await self._code.show()
-        await self._changed()
+        self._is_new = True
+        await self._drawing.request()
+
+    def _keep_formula(self) -> None:
+        setting = self._session.setting
+        texts = {"H": setting.formula, "q": setting.q, "p": setting.p, "forces": setting.forces}
+        self._keep({f".{name}": text for name, text in texts.items()})
+
+    def _keep(self, values: Mapping[str, str]) -> None:
+        """Keep what belongs to the page in the address."""
+        self._client.run_javascript(f"window.hamsymKeep?.({json.dumps(values)})")
 
     def _fill(self, setting: Setting) -> None:
         self._filling = True
@@ -233,7 +243,7 @@ class Page:
             hint = " On this page they are under Names and forces."
             self._names.value = True
         self._reason.text = f"{error}.{hint}"
-        self._grid.classes(add="stale")
+        self._player.classes(add="stale")
         self._say("H cannot be read; the pictures are of the last one that could.", "failed")
 
     def _show_derivation(self) -> None:
@@ -242,111 +252,74 @@ class Page:
             return
         self._equations.content, self._hessian.content = found.equations, found.hessian
         self._facts.text = found.facts
-        dof, names = found.dof, found.names
-        planes = {f"{k},{k + dof}": f"{names[k]}, {names[k + dof]}" for k in range(dof)}
-        planes |= {f"{k},{k + 1}": f"{names[k]}, {names[k + 1]}" for k in range(dof - 1)}
-        self._filling = True
-        if self._plane.options != planes:
-            self._plane.set_options(planes, value="0,1" if dof > 1 else next(iter(planes)))
-        chosen = list(range(min(dof, _MOST_CURVES)))
-        options = dict(enumerate(names[:dof]))
-        if self._shown.options != options:
-            self._shown.set_options(options, value=chosen)
-        self._surface.value = self._session.surface
-        self._surface.set_visibility(dof > 1)
-        self._section_box.set_visibility(dof > 1)
-        self._grid.classes(add="many") if dof > 1 else self._grid.classes(remove="many")
-        self._shown.set_visibility(dof > 1)
-        self._plane.set_visibility(dof > 1)
-        self._filling = False
 
-    async def _surface_typed(self) -> None:
-        surface = (self._surface.value or "").strip()
-        if surface != self._session.surface:
-            self._session.surface = surface
-            self._section_box.classes(add="earlier")
-            await self._section_drawing.request()
+    # -- values --------------------------------------------------------------------------------
 
-    async def _choice_changed(self, _: _Event) -> None:
-        if self._picture is not None:
-            self._show_picture(self._picture)
+    async def _moved(self, event: events.GenericEventArguments) -> None:
+        """Take the values of the player's sliders."""
+        if isinstance(event.args, dict) and self._session.set_values(event.args):
+            await self._drawing.request()
 
-    # -- pictures ------------------------------------------------------------------------------
-
-    async def _changed(self) -> None:
-        """Draw the present setting; the first section of an H, once nothing changes."""
-        self._section_box.classes(add="earlier")
-        await self._drawing.request()
-        if self._session.is_compiled:
-            await self._section_drawing.request()
+    async def _start_typed(self) -> None:
+        try:
+            start = await self._session.number(self._start.value or "")
+        except HamsymError as error:
+            self._say(f"start: {error}", "failed")
             return
-        if self._waiting is not None:
-            self._waiting.cancel()
-        loop = asyncio.get_running_loop()
-        self._waiting = loop.call_later(
-            _QUIET, lambda: asyncio.ensure_future(self._section_drawing.request())
-        )
+        if start != self._session.setting.span[0]:
+            self._session.set_start(start)
+            self._is_new = True
+            await self._drawing.request()
+
+    async def _tolerance_chosen(self, event: _Event) -> None:
+        self._session.set_tolerance(float(event.value))
+        self._keep({".tol": f"{event.value:g}"})
+        await self._drawing.request()
 
     async def _draw(self) -> None:
+        """Solve the present setting, for the verdict and, if the system is new, for the player."""
+        session = self._session
+        if session.derivation is None:
+            return
+        refusal = ""
         try:
             with self._stoppable():
-                found = await self._session.picture()
+                if self._is_new:
+                    motion = await session.motion()
+                    found, refusal = motion.verdict, motion.refusal
+                else:
+                    found = await session.verdict()
         except HamsymError as error:
-            self._grid.classes(add="stale")
+            self._player.classes(add="stale")
             self._say(f"No solution: {error}. The pictures are of earlier values.", "failed")
             return
-        self._picture = found
-        self._show_picture(found)
+        if self._is_new and not refusal:
+            self._is_new = False
+            self._show(motion)
+        if refusal:
+            self._player.classes(add="stale")
+        else:
+            self._player.classes(remove="stale")
+        self._judge(found, f" Nothing of it is drawn: {refusal}." if refusal else "")
 
-    def _show_picture(self, found: Picture) -> None:
-        derivation = self._session.derivation
-        if derivation is None or len(derivation.names) != found.z.shape[1]:
-            return
-        names, dof = derivation.names, derivation.dof
-        chosen = [int(k) for k in self._shown.value or range(min(dof, _MOST_CURVES))]
-        rest = f", {len(chosen)} of {dof}" if len(chosen) < dof else ""
-        momenta = [k + dof for k in chosen]
-        forced = not derivation.has_energy
-        x, y = (int(k) for k in str(self._plane.value or f"0,{dof}").split(","))
-        self._put(
-            coordinates=charts.over_time(f"Coordinates{rest}", names, chosen, found),
-            momenta=charts.over_time(f"Momenta{rest}", names, momenta, found),
-            plane=charts.plane(names, x, y, found),
-            errors=charts.errors_over_time(found, self._session.setting.tol, forced),
-        )
-        self._grid.classes(remove="stale")
-        points = f" Drawn at {len(found.t):,} times, too few for its oscillations."
-        coarse = points if found.coarse else ""
-        if self._error.visible:
-            coarse += " This is the last H that could be read."
+    def _show(self, motion: Motion) -> None:
+        """Hand a system and its present values to the player."""
+        setting = self._session.setting
+        length = setting.span[1] - setting.span[0]
+        values = json.dumps({**setting.z0, **setting.parameters, SPAN: length})
+        code = json.dumps(motion.code)
+        self._client.run_javascript(f"hamsymShow({code}, {motion.problem}, {values})")
+
+    def _judge(self, found: Verdict, more: str) -> None:
+        earlier = " This is the last H that could be read." if self._error.visible else more
         if found.success:
-            energy = float(found.energy_error.max())
             self._say(
-                f"Accepted: {found.headline}, energy error at most {energy:.1e} of the terms of H. "
-                f"{_duration(found.seconds)}.{coarse}",
+                f"Accepted: {found.headline}, energy error at most {found.energy_error:.1e} of the "
+                f"terms of H. {_duration(found.seconds)}.{earlier}",
                 "accepted",
             )
         else:
-            self._say(f"Not accepted: {found.message}.{coarse}", "failed")
-
-    def _put(self, **drawn: dict[str, Any]) -> None:
-        by_id = {self._charts[name].id: options for name, options in drawn.items()}
-        self._client.run_javascript(f"hamsymDraw({json.dumps(by_id, allow_nan=False)})")
-
-    async def _draw_section(self) -> None:
-        derivation = self._session.derivation
-        if derivation is None or derivation.dof < 2 or not self._session.surface:
-            return
-        asked = self._session.setting, self._session.surface
-        try:
-            found = await self._session.section()
-        except HamsymError as error:
-            self._section_note.text = f"No section: {error}"
-            return
-        self._put(section=charts.section_plane(found, self._session.surface))
-        self._section_note.text = found.message
-        if asked == (self._session.setting, self._session.surface):
-            self._section_box.classes(remove="earlier")
+            self._say(f"Not accepted: {found.message}.{earlier}", "failed")
 
     def _say(self, text: str, kind: str) -> None:
         self._verdict_text.text = text

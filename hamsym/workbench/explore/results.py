@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 
 @dataclass(frozen=True)
 class Derivation:
@@ -18,10 +16,6 @@ class Derivation:
     hessian: str
     #: What the structure of H is, in words.
     facts: str
-    #: Whether H is conserved.
-    has_energy: bool
-    #: A surface for a section, empty if there is none.
-    surface: str
 
     @property
     def dof(self) -> int:
@@ -30,40 +24,30 @@ class Derivation:
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A solution, sampled for the page."""
+class Verdict:
+    """What is known of the solution of a setting."""
 
     success: bool
     message: str
     #: The largest estimated error against what was asked.
     headline: str
-    #: Shape (n,).
-    t: np.ndarray
-    #: Shape (n, dim).
-    z: np.ndarray
-    #: energy_error, error: |H - E0|, without the work of forces and of a changing H, relative to
-    #: the size of the terms of H, the largest sum of |z_i dH/dz_i|; the largest estimated error
-    #: relative to the size of its component. Both have shape (n,).
-    energy_error: np.ndarray
-    error: np.ndarray
-    #: Level sets of H around the orbit, each of shape (m, 2); for one degree of freedom.
-    levels: list[np.ndarray]
-    #: Their range: q and p, each from and to.
-    box: tuple[float, float, float, float] | None
-    #: Time of solve and of sampling.
+    #: Largest |H - E0|, without the work of forces and of a changing H, relative to the size of the
+    #: terms of H, the largest sum of |z_i dH/dz_i|.
+    energy_error: float
+    #: Time of solve.
     seconds: float
-    #: Whether the motion may be too fast for the times that are drawn.
-    coarse: bool
 
 
 @dataclass(frozen=True)
-class SectionPicture:
-    """Crossings of a surface in a plane."""
+class Motion:
+    """A solution, and what the player of the page needs of it."""
 
-    points: np.ndarray
-    axes: tuple[str, str]
-    success: bool
-    message: str
+    verdict: Verdict
+    #: JavaScript of the system, and the problem as JSON.
+    code: str = ""
+    problem: str = ""
+    #: Why there are none, e.g. a function that JavaScript lacks.
+    refusal: str = ""
 
 
 @dataclass(frozen=True)

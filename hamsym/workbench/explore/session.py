@@ -5,21 +5,20 @@ from __future__ import annotations
 import asyncio
 import html
 import math
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
 from hamsym.errors import HamsymError, InputError
 from hamsym.parallel.processes import Worker
 from hamsym.workbench.explore import tasks
-from hamsym.workbench.explore.results import Derivation, JobResult, Picture, SectionPicture
+from hamsym.workbench.explore.results import Derivation, JobResult, Motion, Verdict
 from hamsym.workbench.explore.setting import Setting
 
 FIRST = Setting("p**2/2 + x**2/2 + x**4/4", z0={"x": 1.3, "p": 1.0}, span=(0.0, 20.0))
 _LIVE_LIMIT = 15.0  # seconds of what is drawn while a slider moves
 _FILE_LIMIT = 240.0  # the comparison of a report alone may take a minute
 _FIRST_LIMIT = 90.0  # with the start of a process and the import of hamsym on a busy machine
-_COMPILE_LIMIT = 180.0
 _CONTEXT = 40  # characters around an invalid token
 
 _Key = tuple[str, str, str, str]
@@ -52,6 +51,8 @@ class Latest:
             self._running = False
 
 
+#: What the player calls the length of the time span, which is no name of a formula.
+SPAN = "time span"
 #: Tabs at once.
 MOST_TABS = 8
 
@@ -60,16 +61,14 @@ class Session:
     """The setting of one tab, with three processes: what is live, the background, and the buttons.
 
     - derivation: Of the formula; None before the first one.
-    - surface: Of the section.
     - closed: Whether the tab was closed, which ended its processes.
     """
 
     def __init__(self, setting: Setting = FIRST) -> None:
         self.setting = setting
         self.derivation: Derivation | None = None
-        self.surface = ""
+        self._moved = False  # whether the start is one that the reader chose
         self._live, self._background, self._button = (Worker() for _ in range(3))
-        self._compiled: _Key | None = None
         self._proven: Setting | None = None
         self._busy = False
         self._started = False
@@ -90,11 +89,6 @@ class Session:
         setting = self.setting
         return setting.formula, setting.q, setting.p, setting.forces
 
-    @property
-    def is_compiled(self) -> bool:
-        """Whether the loops of sections of this H are compiled."""
-        return self._compiled == self._key
-
     async def _call(self, worker: Worker, task: str, seconds: float, *arguments: Any) -> Any:
         return await asyncio.to_thread(worker.run, getattr(tasks, task), seconds, *arguments)
 
@@ -112,7 +106,7 @@ class Session:
     # -- formula and values --------------------------------------------------------------------
 
     async def set_formula(self, formula: str, q: str = "", p: str = "", forces: str = "") -> None:
-        """Take a new formula; values of names that stay are kept.
+        """Take a new formula; values of names that stay are kept, if the reader chose them.
 
         Raises
         ------
@@ -121,7 +115,12 @@ class Session:
         """
         derivation = await self._call_live("derive", formula, q, p, forces)
         setting = replace(self.setting, formula=formula, q=q, p=p, forces=forces)
-        self._take(setting, derivation)
+        known = all(name in setting.z0 for name in derivation.names)
+        setting = setting.with_names(derivation.names, derivation.parameter_names)
+        if not (known and self._moved):
+            self._moved = False
+            setting = replace(setting, z0=await self._call_live("start", setting, known))
+        self.setting, self.derivation = setting, derivation
 
     async def set_example(self, name: str) -> None:
         """Take a system of the catalogue with its values."""
@@ -129,34 +128,35 @@ class Session:
         derivation = await self._call_live(
             "derive", setting.formula, setting.q, setting.p, setting.forces
         )
-        self.derivation = None
-        self._take(setting, derivation)
+        setting = setting.with_names(derivation.names, derivation.parameter_names)
+        self.setting, self.derivation, self._moved = setting, derivation, True
 
-    def _take(self, setting: Setting, derivation: Derivation) -> None:
-        names, parameter_names = derivation.names, derivation.parameter_names
-        if self.derivation is None or self.derivation.names != names:
-            self.surface = derivation.surface
-        self.setting = setting.with_names(names, parameter_names)
-        self.derivation = derivation
+    def set_values(self, values: Mapping[str, float]) -> bool:
+        """Set components of the start, parameters and the length of the span; whether any is new.
 
-    def set_value(self, name: str, value: float) -> None:
-        """Set a component of the initial state, a parameter, or the end of the span, ``t``.
-
-        Raise InputError if the value is not finite or the name is unknown.
+        Names of other formulas, and what is no finite number, are left out.
         """
-        if not math.isfinite(value):
-            raise InputError(f"{name} = {value} is not finite; give a number such as 1.3")
         setting = self.setting
-        if name in setting.z0:
-            self.setting = replace(setting, z0={**setting.z0, name: value})
-        elif name in setting.parameters:
-            self.setting = replace(setting, parameters={**setting.parameters, name: value})
-        else:
-            raise InputError(f"'{name}' is not a component of z or a parameter; reload the page")
+        known = {
+            name: float(value)
+            for name, value in values.items()
+            if isinstance(value, int | float) and math.isfinite(value)
+        }
+        start, end = setting.span
+        length = known.get(SPAN, end - start) or end - start
+        self.setting = replace(
+            setting,
+            z0={name: known.get(name, value) for name, value in setting.z0.items()},
+            parameters={name: known.get(name, value) for name, value in setting.parameters.items()},
+            span=(start, start + length),
+        )
+        self._moved = self._moved or self.setting.z0 != setting.z0
+        return self.setting != setting
 
-    def set_span(self, start: float, end: float) -> None:
-        """Set the time span."""
-        self.setting = replace(self.setting, span=(start, end))
+    def set_start(self, start: float) -> None:
+        """Move the time span."""
+        old, end = self.setting.span
+        self.setting = replace(self.setting, span=(start, start + (end - old)))
 
     def set_tolerance(self, tol: float) -> None:
         """Set the tolerance."""
@@ -180,17 +180,13 @@ class Session:
 
     # -- what is drawn -------------------------------------------------------------------------
 
-    async def picture(self) -> Picture:
-        """Solve and sample the present setting."""
-        return await self._call_live("picture", self.setting)
+    async def motion(self) -> Motion:
+        """Solve the present setting for the player of the page."""
+        return await self._call_live("motion", self.setting)
 
-    async def section(self) -> SectionPicture:
-        """Compute the section of the present setting; the first one of an H compiles its loops."""
-        key, seconds = self._key, _LIVE_LIMIT if self.is_compiled else _COMPILE_LIMIT
-        arguments = self.setting, self.surface
-        found: SectionPicture = await self._call(self._background, "section", seconds, *arguments)
-        self._compiled = key
-        return found
+    async def verdict(self) -> Verdict:
+        """Solve the present setting."""
+        return await self._call_live("verdict", self.setting)
 
     async def code(self, backend: str) -> str:
         """Return the generated code of a backend."""

@@ -107,6 +107,7 @@ def build_downloads(session: Session) -> None:
         ("Data (CSV)", "data.csv", "table", ()),
         ("Solution, for hamsym.load", "orbit.hamsym", "solution_file", ()),
         ("Report (HTML)", "report.html", "report", ()),
+        ("Lesson (HTML)", "lesson.html", "exported", (".html",)),
         ("Python module, needs numpy only", "orbit.py", "exported", (".py",)),
         ("JSON, for JavaScript", "orbit.json", "exported", (".json",)),
         ("C header", "orbit.h", "exported", (".h",)),

@@ -5,31 +5,29 @@ from __future__ import annotations
 import csv
 import functools
 import io
+import json
 import math
 import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 import hamsym
-from hamsym.errors import InputError
+from hamsym.errors import CodeGenerationError, InputError
 from hamsym.formula.parser import parse_number
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.systems.catalogue import CATALOGUE
 from hamsym.workbench.equations import equations
-from hamsym.workbench.explore.results import Derivation, JobResult, Picture, SectionPicture
+from hamsym.workbench.explore.results import Derivation, JobResult, Motion, Verdict
 from hamsym.workbench.explore.setting import Setting
+from hamsym.workbench.lessons.lesson import system_code, usual_range
+from hamsym.workbench.lessons.problem import problem
+from hamsym.workbench.lessons.start import proposed_start
 
-POINTS = 500  # of a curve
-_MOST_POINTS = 3_000
-_POINTS_OF_WINDOW = 20
-_GRID = 64, 48  # of the level sets
-_LEVELS = 12
-_SPANS_OF_SECTION = 30
+_TIMES = 500  # of the energy error
 _ROWS = 2_001  # of the table of states
 
 
@@ -70,8 +68,6 @@ def derive(formula: str, q: str, p: str, forces: str) -> Derivation:
     facts = H.facts
     cyclic = facts["cyclic"]
     said = facts.headline + (f"; {cyclic.label} {cyclic.text}" if cyclic.text else "")
-    # A surface through the origin that the second pair crosses.
-    surface = f"{H.names[1]} = 0, {H.names[H.dof + 1]} > 0" if H.dof > 1 else ""
     typeset = equations(H)
     more = typeset["more"]
     rest = f"<p>{more} more entries do not vanish.</p>" if more else ""
@@ -81,8 +77,6 @@ def derive(formula: str, q: str, p: str, forces: str) -> Derivation:
         equations=_lines(typeset["H"], *typeset["forces"], *typeset["rates"]),
         hessian=_lines(typeset["matrix"], *typeset["entries"]) + rest,
         facts=f"{said}.",
-        has_energy=H.conserves_energy,
-        surface=surface,
     )
 
 
@@ -118,82 +112,51 @@ def example(name: str) -> Setting:
     )
 
 
-# -- pictures -------------------------------------------------------------------------------------
+# -- motions --------------------------------------------------------------------------------------
 
 
 def _solve(setting: Setting) -> hamsym.Solution:
     return hamsym.solve(_bound(setting), setting.z0, setting.span, tol=setting.tol, progress=False)
 
 
-def picture(setting: Setting) -> Picture:
-    """Solve, and sample what the page draws."""
+def start(setting: Setting, given: bool) -> dict[str, float]:
+    """Return a start that is accepted; with ``given`` that of the setting, if it is."""
+    own = list(setting.z0.values()) if given else None
+    return proposed_start(_bound(setting), setting.span, own)
+
+
+def verdict(setting: Setting) -> Verdict:
+    """Solve, and say what is known of the solution."""
+    return _verdict(*_timed(setting))
+
+
+def motion(setting: Setting) -> Motion:
+    """Solve, and return what the player of the page needs."""
+    solution, seconds = _timed(setting)
+    judged = _verdict(solution, seconds)
+    try:
+        code = system_code(solution.H)
+    except CodeGenerationError as error:
+        return Motion(judged, refusal=str(error))
+    ranges = {name: usual_range(value) for name, value in setting.parameters.items()}
+    return Motion(judged, code, json.dumps(problem(solution, ranges), allow_nan=False))
+
+
+def _timed(setting: Setting) -> tuple[hamsym.Solution, float]:
     began = time.perf_counter()
     solution = _solve(setting)
-    needed = _POINTS_OF_WINDOW * (len(solution.history.edges) - 1)
-    t = np.linspace(*solution.span, min(max(needed, POINTS), _MOST_POINTS) + 1)
-    z, rates = solution.evaluate(t)
-    # The sizes to which the tolerance is relative.
-    scale = solution.scale if solution.error is None else solution.error.scale
+    return solution, time.perf_counter() - began
+
+
+def _verdict(solution: hamsym.Solution, seconds: float) -> Verdict:
+    t = np.linspace(*solution.span, _TIMES)
     with np.errstate(all="ignore"):
+        z, rates = solution.evaluate(t)
         pairs = z * np.roll(rates, solution.H.dof, axis=1)  # q_i dp_i/dt and p_i dq_i/dt
         terms = np.abs(pairs).sum(axis=1).max()
-        energy_error = np.abs(solution.energy_drift(t)) / (terms if terms > 0 else 1.0)
-        error = np.abs(solution.error_estimate(t)) / np.where(scale > 0, scale, 1)
-    levels, box = _level_sets(solution, z) if solution.H.dof == 1 else ([], None)
-    return Picture(
-        success=solution.success,
-        message=solution.message,
-        headline=solution.facts.headline,
-        t=t,
-        z=z,
-        energy_error=energy_error,
-        error=error.max(axis=1),
-        levels=levels,
-        box=box,
-        seconds=time.perf_counter() - began,
-        coarse=needed > _MOST_POINTS,
-    )
-
-
-def _level_sets(
-    solution: hamsym.Solution, z: np.ndarray
-) -> tuple[list[np.ndarray], tuple[float, float, float, float] | None]:
-    """Return level sets of H at the start of the span, and the box that they fill."""
-    import contourpy
-
-    low, high = z.min(axis=0), z.max(axis=0)
-    width = np.where(high > low, high - low, np.maximum(np.abs(high), 1e-300))
-    low, high = low - 0.35 * width, high + 0.35 * width
-    if not np.all(np.isfinite(width)) or not np.all(high > low):
-        return [], None
-    q, p = (np.linspace(low[k], high[k], _GRID[k]) for k in (0, 1))
-    grid = np.stack(np.meshgrid(q, p), axis=-1)
-    H = solution.H
-    with np.errstate(all="ignore"):
-        system = H.compile("numpy")
-        energy = np.asarray(system.energy(*system.arguments(grid, solution.span[0])), dtype=float)
-    energy = np.broadcast_to(energy, grid.shape[:-1])
-    known = energy[np.isfinite(energy)]
-    if not known.size:
-        return [], None
-    # Equal shares of the plane between levels: near a pole most equidistant ones would be empty.
-    values = np.unique(np.quantile(known, np.linspace(0.02, 0.98, _LEVELS)))
-    lines = contourpy.contour_generator(q, p, np.ma.masked_invalid(energy))
-    found: list[Any] = [line for value in values for line in lines.lines(float(value))]
-    return found, (float(low[0]), float(high[0]), float(low[1]), float(high[1]))
-
-
-def section(setting: Setting, surface: str) -> SectionPicture:
-    """Compute the section of the trajectory on a longer span.
-
-    For a new H its loops are compiled, for seconds.
-    """
-    start, end = setting.span
-    span = start, start + _SPANS_OF_SECTION * (end - start)
-    H = _bound(setting)
-    found = hamsym.section(H, setting.z0, span, surface, progress=False)
-    index = [found.names.index(name) for name in found.axes]
-    return SectionPicture(found.z[:, index], found.axes, bool(found.success), found.message)
+        drift = np.abs(solution.energy_drift(t)).max() / (terms if terms > 0 else 1.0)
+    facts = solution.facts
+    return Verdict(solution.success, solution.message, facts.headline, float(drift), seconds)
 
 
 # -- buttons --------------------------------------------------------------------------------------
@@ -264,7 +227,7 @@ def solution_file(setting: Setting) -> bytes:
 
 
 def exported(setting: Setting, ending: str) -> bytes:
-    """Return the solution as a module or data that need no hamsym: .py, .json or .h."""
+    """Return the solution as a file that needs no hamsym: .py, .json, .h, or a lesson."""
     return _written(ending, _solve(setting).export)
 
 

@@ -14,7 +14,7 @@ from hamsym.facts.solutions import proof_sentence
 from hamsym.facts.wording import error_text, largest_share, number
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.scales import ratios
-from hamsym.proof.certificate import Certificate
+from hamsym.proof.windows.certificate import Certificate
 from hamsym.solution.digest import digest
 from hamsym.solution.solution import Solution
 from hamsym.support.text_tables import share

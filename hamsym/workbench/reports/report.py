@@ -23,9 +23,9 @@ from hamsym.codegen.backends import BACKENDS
 from hamsym.errors import CertificationError, FileError, HamsymError, InputError
 from hamsym.facts.facts import Fact
 from hamsym.facts.solutions import solution_facts
-from hamsym.proof.certificate import Certificate
 from hamsym.proof.prove import certify as prove
 from hamsym.proof.prove import verify
+from hamsym.proof.windows.certificate import Certificate
 from hamsym.solution.solution import Solution
 from hamsym.solving.recipe import omissions, python_lines
 from hamsym.support.atomic import write_file
@@ -218,7 +218,7 @@ def _colored(text: str, language: str) -> Markup:
     return Markup(out.getvalue())
 
 
-_LANGUAGES = {"py": "python", "c": "c", "jl": "julia"}
+_LANGUAGES = {"py": "python", "c": "c", "jl": "julia", "js": "javascript"}
 
 
 def _again(solution: Solution, target: Path, proof: contents.Proof) -> Markup:

@@ -1,0 +1,525 @@
+"""Birkhoff normal forms at elliptic equilibria, and nonlinear stability as a theorem.
+
+Input:  a Hamiltonian, a proven equilibrium whose linearised motion has imaginary eigenvalues.
+Output: :class:`NormalForm`: H in actions up to a degree, and the transformations both ways.
+
+All coefficients are balls, so that what is decided holds. In complex coordinates with
+{x_k, y_k} = 1 the quadratic part of H is sum_k i omega_k x_k y_k, with the signs of the energies of
+the modes in omega. Degree by degree a term x^a y^b with the divisor D = i omega . (a - b) is
+removed by the flow of the function chi with the coefficient of the term over D (Birkhoff 1927;
+Deprit 1969); terms whose divisor may be zero stay (Gustavson 1966). With the actions
+I_k = i x_k y_k = (Q_k^2 + P_k^2)/2,
+
+    H = H_0 + omega . I + (A I_1^2 + 2 B I_1 I_2 + C I_2^2)/2 + ...
+
+for two degrees of freedom, and an equilibrium without k . omega = 0 for 0 < |k| <= 4 is stable if
+A omega_2^2 - 2 B omega_1 omega_2 + C omega_1^2 is not zero (Arnold 1961; Moser 1962).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import sympy
+from flint import acb, acb_mat, arb, arb_series
+
+from hamsym.dynamics.equilibrium import Equilibrium
+from hamsym.errors import CertificationError, InputError
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.proof.arithmetic.ball import Ball
+from hamsym.proof.arithmetic.balls import above, working
+from hamsym.proof.arithmetic.functions import Arithmetic, SingularityError
+from hamsym.proof.arithmetic.generated import GeneratedFunctions
+from hamsym.proof.zeros.derivative_balls import DerivativeBalls
+from hamsym.proof.zeros.roots import enclosed_root
+from hamsym.support.shown import Shown
+from hamsym.support.suggestions import checked_keywords, suggest_attributes
+from hamsym.support.validation import require_whole
+from hamsym.symbolic.derivatives import connected_blocks
+
+_BITS = 192
+_MOST = 12  # degree: the work grows like its eighth power
+# Relative error of H on tori up to which the normal form is of use.
+_WANTED = 1e-3
+_PHASES = 24
+
+Powers = tuple[int, ...]
+#: Polynomials by degree: coefficients by the powers of x_1.., y_1...
+Graded = dict[int, dict[Powers, acb]]
+
+
+@suggest_attributes
+@dataclass(frozen=True, eq=False)
+class NormalForm(Shown):
+    """The Birkhoff normal form at an equilibrium, from :meth:`hamsym.Equilibrium.normal_form`.
+
+    Attributes
+    ----------
+    equilibrium : Equilibrium
+    degree : int
+        Of H in the coordinates; in the actions half of it.
+    frequencies : Ball
+        omega, with the signs of the energies of the modes, shape (dof,).
+    coefficients : mapping of tuple of int to Ball
+        Of the powers of I_1, I_2, ... in H.
+    resonances : tuple of tuple of int
+        Vectors k with k . omega that may be zero, up to the degree: their terms are left in H, and
+        ``hamiltonian`` is then an average.
+    stable : bool or None
+        True if the equilibrium is proven to be stable; None if that is not decided.
+    statement : str
+        What is proven, and why.
+    domain : float
+        Estimated size sqrt(2 |I|) of the region in which H is described to one part in a thousand.
+    """
+
+    equilibrium: Equilibrium = field(repr=False)
+    degree: int
+    frequencies: Ball
+    coefficients: Mapping[Powers, Ball] = field(repr=False)
+    resonances: tuple[Powers, ...]
+    stable: bool | None
+    statement: str
+    domain: float
+    _there: Sequence[_Polynomial] = field(repr=False)
+    _back: Sequence[_Polynomial] = field(repr=False)
+    _basis: np.ndarray = field(repr=False)
+
+    @property
+    def formula(self) -> sympy.Expr:
+        """H in the actions I_1, I_2, ..., with coefficients in float64, without its constant."""
+        actions = [sympy.Symbol(f"I_{k + 1}") for k in range(len(self.frequencies.mid))]
+        terms = (
+            sympy.Float(ball.mid, 15)
+            * sympy.Mul(*(a**n for a, n in zip(actions, powers, strict=True)))
+            for powers, ball in self.coefficients.items()
+        )
+        return sympy.Add(*terms)
+
+    def hamiltonian(self, actions: Any) -> np.ndarray:
+        """Evaluate H at actions, shape (..., dof) -> (...)."""
+        values = np.asarray(actions, dtype=float)
+        found = np.full(values.shape[:-1], self.equilibrium.energy)
+        for powers, ball in self.coefficients.items():
+            found = found + ball.mid * np.prod(values ** np.array(powers), axis=-1)
+        return np.asarray(found)
+
+    def from_normal(self, normal: Any) -> np.ndarray:
+        """Compute the states z of normal coordinates (Q, P), shape (..., dim) -> (..., dim).
+
+        I_k = (Q_k^2 + P_k^2)/2 are the actions.
+        """
+        values = np.asarray(normal, dtype=float)
+        half = values.shape[-1] // 2
+        Q, P = values[..., :half], values[..., half:]
+        both = np.concatenate([Q - 1j * P, P - 1j * Q], axis=-1) / np.sqrt(2)
+        moved = np.stack([one(both) for one in self._there], axis=-1)
+        return np.asarray(self.equilibrium.z + (moved @ self._basis.T).real)
+
+    def to_normal(self, z: Any) -> np.ndarray:
+        """Compute the normal coordinates (Q, P) of states, shape (..., dim) -> (..., dim)."""
+        apart = np.asarray(z, dtype=float) - self.equilibrium.z
+        both = apart @ np.linalg.inv(self._basis).T
+        x = np.stack([one(both) for one in self._back], axis=-1)[..., : len(self._back) // 2]
+        return np.asarray(np.sqrt(2) * np.concatenate([x.real, -x.imag], axis=-1))
+
+
+@checked_keywords
+def normal_form(equilibrium: Equilibrium, degree: int = 6) -> NormalForm:
+    """Compute the Birkhoff normal form at an equilibrium; see Equilibrium.normal_form.
+
+    Examples
+    --------
+    >>> import hamsym
+    >>> found = normal_form(hamsym.equilibria("p**2/2 + x**2/2 + x**4/4")[0], 4)
+    >>> found.formula, found.stable
+    (0.375*I_1**2 + 1.0*I_1, True)
+    """
+    H = equilibrium.H
+    if H is None or H.time is not None:
+        raise InputError("a normal form needs an equilibrium of a Hamiltonian without time")
+    if H.forces:
+        raise InputError("a normal form needs a Hamiltonian without forces")
+    H.require_parameters()
+    require_whole("degree", degree, 2)
+    if degree > _MOST:
+        raise InputError(f"degree={degree} is beyond {_MOST}, the largest that is computed")
+    with working(_BITS, degree + 1):
+        try:
+            return _Construction(H, equilibrium, degree).normal_form()
+        except SingularityError as error:
+            raise CertificationError(f"H is not smooth at the equilibrium, in {error}") from None
+
+
+# -- polynomials -----------------------------------------------------------------------------------
+
+
+class _Jet:
+    """A polynomial up to a degree in 2 d variables, with balls as coefficients."""
+
+    def __init__(self, parts: Graded, degree: int) -> None:
+        self.parts = {k: part for k, part in parts.items() if part}
+        self.degree = degree
+
+    def constant(self) -> acb:
+        part = self.parts.get(0)
+        return next(iter(part.values())) if part else acb(0)
+
+    def __add__(self, other: Any) -> _Jet:
+        other = self._of(other)
+        parts = {k: dict(part) for k, part in self.parts.items()}
+        for k, part in other.parts.items():
+            mine = parts.setdefault(k, {})
+            for powers, value in part.items():
+                mine[powers] = mine[powers] + value if powers in mine else value
+        return _Jet(parts, self.degree)
+
+    __radd__ = __add__
+
+    def __neg__(self) -> _Jet:
+        return self.scaled(acb(-1))
+
+    def __sub__(self, other: Any) -> _Jet:
+        return self + (-self._of(other))
+
+    def __rsub__(self, other: Any) -> _Jet:
+        return (-self) + other
+
+    def scaled(self, factor: acb) -> _Jet:
+        return _Jet(
+            {k: {p: factor * v for p, v in part.items()} for k, part in self.parts.items()},
+            self.degree,
+        )
+
+    def __mul__(self, other: Any) -> _Jet:
+        if not isinstance(other, _Jet):
+            return self.scaled(acb(other))
+        parts: Graded = {}
+        for (j, first), (k, second) in itertools.product(self.parts.items(), other.parts.items()):
+            if j + k > self.degree:
+                continue
+            mine = parts.setdefault(j + k, {})
+            for (p, a), (q, b) in itertools.product(first.items(), second.items()):
+                powers = tuple(map(int.__add__, p, q))
+                value = a * b
+                mine[powers] = mine[powers] + value if powers in mine else value
+        return _Jet(parts, self.degree)
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Any) -> _Jet:
+        if isinstance(other, _Jet):
+            return self * _applied(lambda s: 1 / s, other)
+        return self.scaled(1 / acb(other))
+
+    def __rtruediv__(self, other: Any) -> _Jet:
+        return _applied(lambda s: 1 / s, self) * other
+
+    def __pow__(self, power: int) -> _Jet:
+        if power < 0:
+            return 1 / self ** (-power)
+        found = self._of(1)
+        for _ in range(power):
+            found = found * self
+        return found
+
+    def _of(self, value: Any) -> _Jet:
+        if isinstance(value, _Jet):
+            return value
+        some = next((p for part in self.parts.values() for p in part), ())
+        return _Jet({0: {(0,) * len(some): acb(value)}}, self.degree)
+
+    def slope(self, k: int) -> _Jet:
+        """The derivative by variable k."""
+        parts: Graded = {}
+        for n, part in self.parts.items():
+            for powers, value in part.items():
+                if powers[k]:
+                    lower = (*powers[:k], powers[k] - 1, *powers[k + 1 :])
+                    parts.setdefault(n - 1, {})[lower] = powers[k] * value
+        return _Jet(parts, self.degree)
+
+
+def _applied(function: Any, x: Any, *rest: Any) -> Any:
+    """A function of a jet, by its Taylor series at the constant; arguments after it are numbers."""
+    if not isinstance(x, _Jet):
+        if any(isinstance(other, _Jet) for other in rest):
+            raise SingularityError("a function of two variables")
+        return function(x, *rest)
+    if any(isinstance(other, _Jet) for other in rest):
+        raise SingularityError("a function of two variables")
+    head = x.constant().real  # the point is real
+    series = function(arb_series([head, arb(1)]), *rest)
+    small = x - x.constant()
+    found = x._of(0)
+    for k in range(x.degree, -1, -1):
+        found = found * small + acb(series[k])
+    return found
+
+
+def _bracket(f: _Jet, g: _Jet) -> _Jet:
+    """{f, g} = sum_k df/dx_k dg/dy_k - df/dy_k dg/dx_k, truncated.
+
+    Derivatives lower the degree by two in all, so that products are formed to two degrees more.
+    """
+    count = len(next(p for part in (f.parts or g.parts).values() for p in part))
+    half, degree = count // 2, f.degree
+    found = _Jet({}, degree)
+    for k in range(half):
+        for a, b, sign in ((k, half + k, 1), (half + k, k, -1)):
+            product = f.slope(a) * g.slope(b)
+            found = found + (product if sign > 0 else -product)
+    return found
+
+
+class _Polynomial:
+    """A polynomial in numbers: an array of complex values, shape (..., 2 d) -> (...)."""
+
+    def __init__(self, jet: _Jet) -> None:
+        terms = [(p, v) for part in jet.parts.values() for p, v in part.items()]
+        self._powers = np.array([p for p, _ in terms], dtype=int)
+        self._values = np.array([complex(v) for _, v in terms])
+
+    def __call__(self, z: np.ndarray) -> np.ndarray:
+        return np.asarray(np.prod(z[..., None, :] ** self._powers, axis=-1) @ self._values)
+
+
+# -- construction ----------------------------------------------------------------------------------
+
+
+class _Construction:
+    """The normal form of H at one equilibrium."""
+
+    def __init__(self, H: Hamiltonian, equilibrium: Equilibrium, degree: int) -> None:
+        self._H, self._equilibrium, self._degree = H, equilibrium, degree
+        self._dof = H.dof
+        self._point = _point(H, equilibrium.z)
+        self._omega, self._basis = self._modes()
+
+    def normal_form(self) -> NormalForm:
+        """Normalise degree by degree."""
+        jet, generators, resonances = self._expanded(), [], set()
+        for s in range(3, self._degree + 1):
+            part, chi = jet.parts.get(s, {}), {}
+            for powers, value in part.items():
+                k = tuple(
+                    a - b for a, b in zip(powers[: self._dof], powers[self._dof :], strict=True)
+                )
+                divisor = acb(0, 1) * sum(
+                    (n * w for n, w in zip(k, self._omega, strict=True)), arb(0)
+                )
+                if any(k) and not divisor.contains(0):
+                    chi[powers] = value / divisor
+                elif any(k):
+                    resonances.add(min(k, tuple(-n for n in k)))
+            if chi:
+                generators.append(_Jet({s: chi}, self._degree))
+                jet = self._moved(jet, generators[-1])
+                # What was removed is zero; what is left of it is rounding.
+                jet.parts[s] = {p: v for p, v in jet.parts[s].items() if p not in chi}
+        coefficients = self._in_actions(jet)
+        units = [self._variable(k) for k in range(2 * self._dof)]
+        there, back = units, units
+        for chi_s in generators:
+            there = [self._moved(one, chi_s) for one in there]
+        for chi_s in reversed(generators):
+            back = [self._moved(one, -chi_s) for one in back]
+        stable, statement = self._stability(coefficients)
+        found = NormalForm(
+            self._equilibrium,
+            self._degree,
+            Ball(*_parts(self._omega)),
+            {p: Ball(*(float(a) for a in _parts([v])[:, 0])) for p, v in coefficients.items()},
+            tuple(sorted(resonances)),
+            stable,
+            statement,
+            math.nan,
+            [_Polynomial(one) for one in there],
+            [_Polynomial(one) for one in back],
+            np.array([[complex(v) for v in row] for row in self._basis]),
+        )
+        object.__setattr__(found, "domain", _domain(self._H, found))
+        return found
+
+    def _modes(self) -> tuple[list[arb], list[list[acb]]]:
+        """Signed frequencies, and the columns u_k and i conj(u_k) with u^T J i conj(u) = 1."""
+        dof, dim = self._dof, 2 * self._dof
+        functions = GeneratedFunctions(self._H, Arithmetic())
+        rows = [[arb(0)] * dim for _ in range(dim)]
+        entries = functions("hessian", self._point, arb(0))
+        for (i, j), value in entries.items():
+            rows[i][j] = rows[j][i] = arb(value)
+        matrix = [rows[dof + k] for k in range(dof)]
+        matrix += [[-value for value in rows[k]] for k in range(dof)]
+        pairs = [
+            (i % dof, j % dof) for (i, j), value in entries.items() if not arb(value).is_zero()
+        ]
+        omega: list[arb] = []
+        columns: list[list[acb]] = []
+        for block in connected_blocks([*pairs, *((k, k) for k in range(dof))], dof):
+            own = [*block, *(dof + k for k in block)]
+            try:
+                values, vectors = acb_mat([[matrix[i][j] for j in own] for i in own]).eig(
+                    right=True, algorithm="rump"
+                )
+            except ValueError:
+                raise CertificationError(
+                    "frequencies of coupled modes are equal, zero, or too near to be separated"
+                ) from None
+            for k, value in enumerate(values):
+                if not (value.imag > 0):
+                    continue
+                # An isolated eigenvalue near the axis lies on it: so does -conj of it.
+                if not value.real.contains(0):
+                    raise CertificationError(
+                        "the linearised motion is not bounded: an eigenvalue has a real part"
+                    )
+                u = [acb(0)] * dim
+                for row, i in enumerate(own):
+                    u[i] = vectors[row, k]
+                omega_k, u = self._signed(value.imag, u)
+                omega.append(omega_k)
+                columns.append(u)
+        if len(omega) != dof:
+            raise CertificationError(
+                "the equilibrium is not elliptic: not all eigenvalues are imaginary and not zero"
+            )
+        basis = [*columns, *([acb(0, 1) * v.conjugate() for v in u] for u in columns)]
+        return omega, [list(row) for row in zip(*basis, strict=True)]
+
+    def _signed(self, omega: arb, u: list[acb]) -> tuple[arb, list[acb]]:
+        """A mode with its sign, normalised."""
+        dof = self._dof
+        # u^T J conj(u) = -i s
+        form = sum(
+            (u[k] * u[dof + k].conjugate() - u[dof + k] * u[k].conjugate() for k in range(dof)),
+            acb(0),
+        )
+        size = (acb(0, 1) * form).real
+        if size > 0:
+            return omega, [v / size.sqrt() for v in u]
+        if size < 0:
+            return -omega, [v.conjugate() / (-size).sqrt() for v in u]
+        raise CertificationError("the sign of the energy of a mode is not decided")
+
+    def _variable(self, k: int) -> _Jet:
+        powers = tuple(int(i == k) for i in range(2 * self._dof))
+        return _Jet({1: {powers: acb(1)}}, self._degree)
+
+    def _expanded(self) -> _Jet:
+        """H - H_0 in the complex coordinates, with the quadratic part of the modes."""
+        dof, zero = self._dof, (0,) * (2 * self._dof)
+        state = []
+        for point, row in zip(self._point, self._basis, strict=True):
+            linear = {}
+            for k, value in enumerate(row):
+                linear[tuple(int(i == k) for i in range(2 * dof))] = value
+            state.append(_Jet({0: {zero: acb(point)}, 1: linear}, self._degree))
+        functions = GeneratedFunctions(self._H, Arithmetic(_applied))
+        jet = functions("energy", state, arb(0))
+        parts = {k: part for k, part in jet.parts.items() if k > 2}
+        parts[2] = {}
+        for k, w in enumerate(self._omega):
+            parts[2][tuple(int(i in (k, dof + k)) for i in range(2 * dof))] = acb(0, 1) * w
+        return _Jet(parts, self._degree)
+
+    def _moved(self, jet: _Jet, chi: _Jet) -> _Jet:
+        """exp(L_chi) f, with L_chi f = {f, chi}."""
+        found, term = jet, jet
+        for k in range(1, self._degree + 1):
+            term = _bracket(term, chi)
+            if not term.parts:
+                break
+            term = term.scaled(acb(1) / k)
+            found = found + term
+        return found
+
+    def _in_actions(self, jet: _Jet) -> dict[Powers, arb]:
+        """The coefficients of the powers of I_k = i x_k y_k."""
+        found: dict[Powers, arb] = {}
+        for part in jet.parts.values():
+            for powers, value in part.items():
+                half = powers[: self._dof]
+                if half == powers[self._dof :]:
+                    found[half] = (value * acb(0, -1) ** sum(half)).real
+        return found
+
+    def _stability(self, coefficients: Mapping[Powers, arb]) -> tuple[bool | None, str]:
+        omega = self._omega
+        if all(w > 0 for w in omega) or all(w < 0 for w in omega):
+            return True, "stable: the energies of all modes have one sign (Dirichlet)"
+        if len(omega) != 2:
+            return (
+                None,
+                "not decided: for more than two degrees of freedom there is no theorem here",
+            )
+        for k in _vectors(4):
+            if (k[0] * omega[0] + k[1] * omega[1]).contains(0):
+                return None, f"not decided: {k[0]} omega_1 + {k[1]} omega_2 may be zero"
+        if self._degree < 4:
+            return None, "not decided: the degree is below 4"
+        A, B, C = (coefficients.get(p, arb(0)) for p in ((2, 0), (1, 1), (0, 2)))
+        # of I_1^2, I_1 I_2 and I_2^2: A/2, B and C/2
+        found = 2 * (A * omega[1] ** 2 - B * omega[0] * omega[1] + C * omega[0] ** 2)
+        value = found.str(6, radius=False)
+        if found.contains(0):
+            return None, "not decided: Arnold's determinant may be zero"
+        return True, (
+            f"stable: Arnold's determinant is {value}, not zero, and no k . omega = 0 for "
+            "0 < |k| <= 4 (Arnold 1961; Moser 1962)"
+        )
+
+
+def _vectors(order: int) -> Iterator[tuple[int, int]]:
+    """Pairs (k_1, k_2) with 0 < |k_1| + |k_2| <= order, one of k and -k."""
+    for a in range(order + 1):
+        for b in range(-(order - a), order - a + 1):
+            if (a, b) > (0, 0):
+                yield a, b
+
+
+def _point(H: Hamiltonian, z: np.ndarray) -> list[arb]:
+    """The equilibrium: exactly, or in more digits than those of float64."""
+    balls, exact = DerivativeBalls(H), [arb(value) for value in z.tolist()]
+    if all(slope == 0 for slope in balls.gradient(exact)):
+        return exact
+    root = enclosed_root(balls, z.tolist(), np.maximum(np.abs(z), 1e-3).tolist())
+    if root is None:
+        raise CertificationError("the equilibrium is not proven; a normal form needs its enclosure")
+    return list(root.enclosure)
+
+
+def _parts(values: Sequence[arb]) -> np.ndarray:
+    """Mid-points and radii around them in float64, shape (2, n)."""
+    middle = [float(v.mid()) for v in values]
+    return np.array([middle, [above(abs(v - arb(m))) for v, m in zip(values, middle, strict=True)]])
+
+
+def _domain(H: Hamiltonian, form: NormalForm) -> float:
+    """The size of normal coordinates up to which H agrees, estimated at random phases."""
+    energy, dof = H.compile("numpy").energy, H.dof
+    random = np.random.default_rng(0)
+    shares = random.dirichlet(np.ones(dof), _PHASES)
+    angles = random.uniform(0, 2 * np.pi, (_PHASES, dof))
+
+    def agrees(size: float) -> bool:
+        actions = shares * size**2 / 2
+        radius = np.sqrt(2 * actions)
+        normal = np.concatenate([radius * np.cos(angles), radius * np.sin(angles)], axis=-1)
+        with np.errstate(all="ignore"):
+            found = energy(form.from_normal(normal)) - form.hamiltonian(actions)
+            allowed = _WANTED * (np.abs(form.frequencies.mid) * actions).sum(axis=-1)
+        return bool((np.abs(found) <= allowed).all())
+
+    low, high = 0.0, float(np.abs(form.equilibrium.z).max()) + 1.0
+    while agrees(high) and high < 1e6:
+        low, high = high, 2 * high
+    for _ in range(20):
+        middle = (low + high) / 2
+        low, high = (middle, high) if agrees(middle) else (low, middle)
+    return low

@@ -1,0 +1,1 @@
+"""Certificates of flow maps: over boxes of starts and parameters."""

@@ -1,0 +1,404 @@
+"""A tube around a flow map that contains the exact trajectories of all starts in a cell.
+
+Let z^(t, y) be the map on a step of its time and z(t, y) the exact solution, delta = z^ - z, F the
+vector field, A = DF(z^) and r = dz^/dt - F(z^) the defect. Then
+
+    delta' = r + F(z^) - F(z) = r + A delta + q,
+    |q_i| <= 1/2 sum_jk sup |d2F_i/dz_j dz_k| D_j D_k   where |delta_j| <= D_j,
+
+with the supremum over the tube |z - z^| <= D, by Taylor's theorem. Let S(t, y) and M(t, y) be any
+polynomials; they are chosen so that S A + S' and 1 - M S are small: M is about the fundamental
+matrix of delta' = A delta, found in float64, and S = -J M^T J. With w = S delta
+
+    w' = S r + (S' + S A) delta + S q,      delta = M w + (1 - M S) delta.
+
+W, the integral of S r, is a Taylor model: a polynomial in the time and in y, in which the signs of
+the defect cancel. So from w = w_0 at the begin of the step, of length l, and as long as
+|delta| <= D,
+
+    |delta| <= sup |M (w_0 + W)| + sup |M| l (sup |S' + S A| D + sup |S| sup |q|)
+               + sup |1 - M S| D.
+
+If the right-hand side is below D in every component, it bounds |delta| at the begin of the step,
+where delta = M w_0 + (1 - M S) delta: the matrix of sup |1 - M S| has then a spectral radius below
+one, so that (1 - sup |1 - M S|)^-1 exists and is not negative. Later |delta| cannot be the first to
+reach D, and the bound holds on the whole step; H is analytic on the tube, so that z exists there.
+At the end of a step w is known as a model again. Where S changes to S_1, and z^ by a jump j between
+two pieces of the map, w_1 = S_1 (delta + j) = w + (S_1 - S) delta + S_1 j.
+
+No error is enclosed in boxes that turn with the flow, so that the bounds do not grow by wrapping:
+what grows is only the second order and what the models leave out.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import sympy
+from numpy.polynomial import chebyshev
+
+from hamsym.errors import CertificationError
+from hamsym.flow_maps.box import Box
+from hamsym.proof.arithmetic.balls import ball, working
+from hamsym.proof.arithmetic.directed import sum_up
+from hamsym.proof.arithmetic.functions import SingularityError
+from hamsym.proof.arithmetic.generated import GeneratedFunctions
+from hamsym.proof.arithmetic.taylor_models import (
+    BITS,
+    MODELS,
+    Model,
+    Space,
+    float_with_radius,
+    total,
+)
+from hamsym.proof.boxes.map_models import Step
+
+_TIMES = 10  # nodes of a step for the fundamental matrix, without its start
+_FIT = {1: 8, 2: 5, 3: 3}  # degree of the fundamental matrix in the inputs, by their number
+_ROOM = 1.02  # of a tube
+_WIDER = 4.0  # tube over which second derivatives are bounded
+_TRIES = 12
+_SMALLEST = 1e-250
+
+
+class Flow:
+    """H with its derivatives as models, of models of z, t and the parameters that vary."""
+
+    def __init__(self, box: Box) -> None:
+        H = box.H
+        if H.real_equations.has(sympy.atan2):
+            raise CertificationError(
+                "H contains 'atan2', of which there are no Taylor models; a proof over a box needs "
+                "H without it"
+            )
+        self.dim, self.dof, self.forced = H.dim, H.dof, bool(H.forces)
+        self.parameters = [name for name in box.parameters if name in H.parameter_names]
+        self._functions = GeneratedFunctions(H, MODELS, self.parameters)
+
+    def energy(self, arguments: list[Model]) -> Model:
+        return self._model(self._evaluated("energy", arguments), arguments)
+
+    def field(self, arguments: list[Model]) -> list[Model]:
+        """F."""
+        values = self._evaluated("vector_field", arguments)
+        return [self._model(value, arguments) for value in values]
+
+    def _tensor(self, name: str, arguments: list[Model]) -> dict[tuple[int, ...], Model]:
+        entries = self._evaluated(name, arguments)
+        return {index: self._model(value, arguments) for index, value in entries.items()}
+
+    def _evaluated(self, name: str, arguments: list[Model]) -> Any:
+        state, t, varied = arguments[: self.dim], arguments[self.dim], arguments[self.dim + 1 :]
+        keywords = dict(zip(self._functions.keywords, varied, strict=True))
+        with working(BITS):
+            return self._functions(name, state, t, **keywords)
+
+    @staticmethod
+    def _model(value: Any, arguments: list[Model]) -> Model:
+        """A value that may be a ball as a model."""
+        if isinstance(value, Model):
+            return value
+        number, radius = float_with_radius(value)
+        return arguments[0].space.constant(np.full(len(arguments[0].radius), number), radius)
+
+    def jacobian(self, arguments: list[Model]) -> list[list[Model | None]]:
+        """DF; None for entries that vanish."""
+        found: list[list[Model | None]] = [[None] * self.dim for _ in range(self.dim)]
+        if self.forced:
+            for (i, j), entry in self._tensor("jacobian", arguments).items():
+                found[i][j] = entry
+            return found
+        for (i, j), entry in self._tensor("hessian", arguments).items():
+            for row, column in {(i, j), (j, i)}:
+                target, sign = self._target(row)
+                found[target][column] = entry if sign > 0 else -entry
+        return found
+
+    def _target(self, row: int) -> tuple[int, int]:
+        """The component whose rate is, up to the sign, the slope of H in another one."""
+        return (row - self.dof, 1) if row >= self.dof else (row + self.dof, -1)
+
+    def curvature(self, arguments: list[Model]) -> np.ndarray:
+        """Bounds on |d2F_i/dz_j dz_k|, shape (dim, dim, dim, cells)."""
+        cells = len(arguments[0].radius)
+        found = np.zeros((self.dim, self.dim, self.dim, cells))
+        # H finite as a model is analytic there, which its derivatives alone do not show.
+        energy = self.energy(arguments).largest()
+        found[:, :, :, ~np.isfinite(energy)] = np.inf
+        if self.forced:
+            for rate in self.field(arguments):
+                found[:, :, :, ~np.isfinite(rate.largest())] = np.inf
+            for (i, j, k), entry in self._tensor("third_derivatives", arguments).items():
+                found[self._target(i)[0], j, k] = found[self._target(i)[0], k, j] = entry.largest()
+            return found
+        for index, entry in self._tensor("third_derivatives", arguments).items():
+            size = entry.largest()
+            for row, *columns in set(itertools.permutations(index)):
+                place = self._target(row)[0], *columns
+                found[place] = np.maximum(found[place], size)
+        return found
+
+
+class _Nodes:
+    """Points of a cell and a step at which M is found, and the fit of polynomials to values."""
+
+    def __init__(self, space: Space) -> None:
+        degree = _FIT.get(space.inputs, 2)
+        self.times = -np.cos(np.pi * np.arange(_TIMES + 1) / _TIMES)
+        line = chebyshev.chebpts1(degree + 1)
+        grids = np.meshgrid(*[line] * space.inputs, indexing="ij")
+        inputs = np.stack([grid.ravel() for grid in grids], axis=-1)
+        self.count = len(inputs)
+        points = np.concatenate(
+            [np.tile(self.times, self.count)[:, None], np.repeat(inputs, _TIMES + 1, axis=0)],
+            axis=1,
+        )
+        # Values of all terms at all points, (inputs, times) in this order.
+        self.values = np.prod(points[:, None, :] ** space.exponents[None], axis=-1)
+        chosen = (space.exponents[:, 0] < _TIMES) & (space.exponents[:, 1:].sum(axis=1) <= degree)
+        self._places = np.flatnonzero(chosen)
+        self._fit = np.linalg.pinv(self.values[:, self._places])
+        self._space = space
+        series = chebyshev.chebvander(self.times, _TIMES)
+        slopes = chebyshev.chebvander(self.times, _TIMES - 1) @ chebyshev.chebder(
+            np.eye(_TIMES + 1)
+        )
+        self.rates = slopes @ np.linalg.inv(series)
+
+    def model(self, values: np.ndarray) -> Model:
+        """A polynomial near values of shape (cells, points); it is exact, its values are not."""
+        found = np.zeros((self._space.count, len(values)))
+        found[self._places] = self._fit @ values.T
+        return Model(self._space, found, np.zeros(len(values)))
+
+
+@dataclass
+class StepModels:
+    """What a step of the proof needs, without the bounds on the error so far."""
+
+    step: Step
+    arguments: list[Model]
+    #: states, defect: z^ and r.
+    states: list[Model]
+    defect: list[Model]
+    #: fundamental, adjoint: M and S.
+    fundamental: list[list[Model]]
+    adjoint: list[list[Model]]
+    #: M at the nodes at the end of the step.
+    matrices: np.ndarray
+    #: Bounds on the entries of S' + S A, shape (dim, dim, cells).
+    mismatch: np.ndarray
+    #: Bounds on the entries of 1 - M S.
+    rest: np.ndarray
+
+    @cached_property
+    def forced(self) -> list[Model]:
+        """S r."""
+        return [
+            total([entry * part for entry, part in zip(row, self.defect, strict=True)])
+            for row in self.adjoint
+        ]
+
+    @cached_property
+    def length(self) -> float:
+        with working(BITS):
+            value, radius = float_with_radius(ball(2 * abs(self.step.half)))
+        return float(sum_up(value + radius))
+
+
+def sizes(matrix: list[list[Model]]) -> np.ndarray:
+    return np.array([[entry.largest() for entry in row] for row in matrix])
+
+
+class Stepper:
+    """Models on steps of the time."""
+
+    def __init__(self, flow: Flow, space: Space) -> None:
+        self.flow, self.space, self._nodes = flow, space, _Nodes(space)
+
+    def first(self, cells: int) -> np.ndarray:
+        """M at the nodes at the start of the map."""
+        dim = self.flow.dim
+        return np.tile(np.eye(dim), (cells, self._nodes.count, 1, 1))
+
+    def models(
+        self,
+        step: Step,
+        states: list[Model],
+        rates: list[Model],
+        clock: Model,
+        parameters: list[Model],
+        matrices: np.ndarray,
+    ) -> StepModels:
+        """The models of a step from z^ and dz^/dtau.
+
+        Raise SingularityError if H is not smooth on a part of the step in every cell.
+        """
+        flow, space = self.flow, self.space
+        arguments = [*states, clock, *parameters]
+        with working(BITS):
+            half, _ = float_with_radius(ball(step.half))
+            inverse, inverse_spread = float_with_radius(1 / ball(step.half))
+        field = flow.field(arguments)
+        defect = [
+            rate.times(inverse, inverse_spread) - value
+            for rate, value in zip(rates, field, strict=True)
+        ]
+        jacobian = flow.jacobian(arguments)
+        found = self._fundamental(jacobian, half, matrices)
+        dim = flow.dim
+        fundamental = self._fitted(found)
+        if flow.forced:
+            try:
+                inverses = np.linalg.inv(found)
+            except np.linalg.LinAlgError:
+                inverses = np.full(found.shape, np.nan)  # the mismatch then refuses the step
+            adjoint = self._fitted(inverses)
+        else:
+            adjoint = self._adjoint(fundamental, space)
+        mismatch = np.zeros((dim, dim, len(found)))
+        rest = np.zeros((dim, dim, len(found)))
+        for i in range(dim):
+            for j in range(dim):
+                terms = [space.rate(adjoint[i][j]).times(inverse, inverse_spread)]
+                for k in range(dim):
+                    entry = jacobian[k][j]
+                    if entry is not None:
+                        terms.append(adjoint[i][k] * entry)
+                mismatch[i, j] = total(terms).largest()
+                product = total([fundamental[i][k] * adjoint[k][j] for k in range(dim)])
+                rest[i, j] = product.plus(-1.0 if i == j else 0.0).largest()
+        end = found[:, :, -1]
+        return StepModels(
+            step, arguments, states, defect, fundamental, adjoint, end, mismatch, rest
+        )
+
+    def _fitted(self, values: np.ndarray) -> list[list[Model]]:
+        """Models of matrices at the nodes."""
+        count, dim = len(values), values.shape[-1]
+        return [
+            [self._nodes.model(values[:, :, :, i, j].reshape(count, -1)) for j in range(dim)]
+            for i in range(dim)
+        ]
+
+    def _adjoint(self, fundamental: list[list[Model]], space: Space) -> list[list[Model]]:
+        """-J M^T J, the inverse of a symplectic matrix M."""
+        dim, dof = self.flow.dim, self.flow.dof
+        signs = np.array([1.0] * dof + [-1.0] * dof)
+        swap = [*range(dof, dim), *range(dof)]
+        return [
+            [
+                Model(space, signs[i] * signs[j] * entry.coefficients, entry.radius)
+                for j, entry in enumerate([fundamental[swap[j]][swap[i]] for j in range(dim)])
+            ]
+            for i in range(dim)
+        ]
+
+    def _fundamental(
+        self, jacobian: list[list[Model | None]], half: float, matrices: np.ndarray
+    ) -> np.ndarray:
+        """M at the nodes, by collocation, shape (cells, inputs, times, dim, dim)."""
+        dim, nodes = self.flow.dim, self._nodes
+        cells = len(matrices)
+        A = np.zeros((cells, nodes.count, _TIMES + 1, dim, dim))
+        for i, row in enumerate(jacobian):
+            for j, entry in enumerate(row):
+                if entry is not None:
+                    values = nodes.values @ entry.coefficients
+                    A[..., i, j] = values.T.reshape(cells, nodes.count, _TIMES + 1)
+        A = np.where(np.isfinite(A), A, 0.0)
+        D = nodes.rates
+        system = np.broadcast_to(
+            np.kron(D[1:, 1:], np.eye(dim)), (cells, nodes.count, _TIMES * dim, _TIMES * dim)
+        ).copy()
+        for k in range(_TIMES):
+            part = slice(k * dim, (k + 1) * dim)
+            system[..., part, part] -= half * A[:, :, k + 1]
+        right = -np.einsum("k,cnij->cnkij", D[1:, 0], matrices).reshape(
+            cells, nodes.count, _TIMES * dim, dim
+        )
+        found = np.linalg.solve(system, right).reshape(cells, nodes.count, _TIMES, dim, dim)
+        return np.concatenate((matrices[:, :, None], found), axis=2)
+
+
+class Tube:
+    """Bounds on the error of the map from step to step, for many cells at once.
+
+    - bound: Largest bound so far, shape (dim, cells); infinite where there is none.
+    - sharp: What it would be without second order and radii, not a proven number.
+    """
+
+    def __init__(self, stepper: Stepper, start: list[Model]) -> None:
+        self._stepper, self._flow, self._space = stepper, stepper.flow, stepper.space
+        cells = len(start[0].radius)
+        dim = self._flow.dim
+        self.bound, self.sharp = np.zeros((dim, cells)), np.zeros((dim, cells))
+        self._jump: list[Model] | None = start
+        self._w = [self._space.constant(np.zeros(cells)) for _ in range(dim)]
+        self._last: list[list[Model]] | None = None
+        self._present = np.zeros((dim, cells))  # bound on the last step
+
+    def jump(self, difference: list[Model]) -> None:
+        """The map changes by a difference."""
+        self._jump = difference
+
+    def advance(self, models: StepModels) -> None:
+        """Bound the error on the next step."""
+        space, dim = self._space, self._flow.dim
+        starts = [[space.at_end(entry, -1) for entry in row] for row in models.adjoint]
+        for i in range(dim):
+            if self._jump is not None:
+                extra = [starts[i][j] * self._jump[j] for j in range(dim)]
+                self._w[i] = total([self._w[i], *extra])
+            if self._last is not None:
+                change = np.array([(starts[i][j] - self._last[i][j]).largest() for j in range(dim)])
+                self._w[i] = self._w[i].widened(sum_up((change * self._present).sum(axis=0), dim))
+        self._jump = None
+        with working(BITS):
+            half = float_with_radius(ball(models.step.half))
+        w = []
+        for i in range(dim):
+            w.append(self._w[i] + space.integral(models.forced[i]).times(*half))
+        main = [total([models.fundamental[i][j] * w[j] for j in range(dim)]) for i in range(dim)]
+        linear = np.array([entry.largest() for entry in main])
+        bound, left = self._closed(models, linear)
+        self.bound = np.where(np.isfinite(bound), np.maximum(self.bound, bound), np.inf)
+        self.sharp = np.maximum(self.sharp, [entry.polynomial().largest() for entry in main])
+        self._present = bound
+        self._w = [space.at_end(w[i], 1).widened(left[i]) for i in range(dim)]
+        self._last = [[space.at_end(entry, 1) for entry in row] for row in models.adjoint]
+
+    def _closed(self, models: StepModels, linear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """D with the right-hand side below D, and the bound on the rest of w; else infinity."""
+        M, S = sizes(models.fundamental), sizes(models.adjoint)
+        dim = self._flow.dim
+        D = _ROOM * linear + _SMALLEST
+        bound, rest = np.full_like(linear, np.inf), np.full_like(linear, np.inf)
+        limit = np.zeros_like(D)
+        curvature = np.zeros((dim, dim, dim, linear.shape[1]))
+        for _ in range(_TRIES):
+            wider = ~(limit >= D).all(axis=0)
+            if wider.any():
+                limit = np.where(wider, _WIDER * D, limit)
+                widened = [s.widened(r) for s, r in zip(models.states, limit, strict=True)]
+                try:
+                    curvature = self._flow.curvature([*widened, *models.arguments[dim:]])
+                except SingularityError:
+                    break
+            q = sum_up(np.einsum("ijkc,jc,kc->ic", curvature, D, D) / 2, dim * dim)
+            inside = np.einsum("ijc,jc->ic", models.mismatch, D) + np.einsum("ijc,jc->ic", S, q)
+            x = sum_up(models.length * sum_up(inside, 2 * dim))
+            found = sum_up(
+                linear + np.einsum("ijc,jc->ic", M, x) + np.einsum("ijc,jc->ic", models.rest, D),
+                2 * dim,
+            )
+            done = (found < D).all(axis=0) & (limit >= D).all(axis=0)
+            bound, rest = np.where(done, found, bound), np.where(done, x, rest)
+            D = np.where(done, D, np.maximum(_ROOM * found + _SMALLEST, D))
+            if np.isfinite(bound).all():
+                break
+        return bound, rest

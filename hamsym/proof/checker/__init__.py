@@ -1,0 +1,1 @@
+"""The independent checker: it proves certificates again, on python-flint alone."""

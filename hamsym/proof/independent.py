@@ -1,0 +1,94 @@
+"""What the independent checker is given: results and claims as plain data.
+
+:mod:`hamsym.proof.checker` imports nothing of hamsym beside itself. Here numbers of results become
+Python's own, exactly, and what it refuses becomes a CertificationError.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+import hamsym
+from hamsym.errors import CertificationError
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.problems.description import described, described_formula
+from hamsym.proof.checker.equilibria import check_equilibrium
+from hamsym.proof.checker.formulas import NotProvenError
+from hamsym.proof.checker.invariants import check_invariant
+from hamsym.proof.checker.solutions import check_solution
+from hamsym.proof.windows.certificate import Certificate
+from hamsym.random_features.trial import FeatureTrial
+from hamsym.solution.solution import Solution
+from hamsym.support.record_fields import fields_of
+
+
+@contextmanager
+def refusals() -> Iterator[None]:
+    """Turn refusals of the checker into errors of hamsym."""
+    try:
+        yield
+    except NotProvenError as error:
+        raise CertificationError(f"the certificate does not hold: {error}") from None
+
+
+def verify_solution(
+    claims: Certificate, solution: Solution, check_time: Callable[[str], None]
+) -> None:
+    """Prove a certificate of a solution again by the independent checker."""
+    with refusals():
+        check_solution(
+            described(solution.H),
+            solution.z0.tolist(),
+            [float(time) for time in solution.span],
+            _trial_data(solution),
+            asdict(claims),
+            lambda: check_time("the independent checker ran"),
+        )
+
+
+def verify_equilibrium(found: hamsym.Equilibrium, H: Hamiltonian) -> None:
+    """Prove that one equilibrium is in the ball of a found one, and its type."""
+    H.require_parameters()
+    if found.enclosure is None:
+        raise CertificationError("the equilibrium has no enclosure, so that nothing is claimed")
+    if found.names != tuple(H.names):
+        raise CertificationError("the equilibrium and H have different components")
+    linear = found.linear
+    claims = {
+        "mid": np.asarray(found.enclosure.mid, dtype=float).tolist(),
+        "radius": np.asarray(found.enclosure.radius, dtype=float).tolist(),
+        "type": "degenerate" if linear is None else linear.type,
+        "stable": None if linear is None else linear.stable,
+        "definite": 0 if linear is None else linear.definite,
+    }
+    with refusals():
+        check_equilibrium(described(H), claims)
+
+
+def verify_invariant(found: hamsym.Invariant, H: Hamiltonian) -> None:
+    """Prove that an invariant is one, for all values of the parameters or for those it names."""
+    known = dict(found.holds_for)
+    free = [name for name in H.parameter_names if name not in known]
+    with refusals():
+        data = described(H) | {"parameters": known}
+        check_invariant(data, free, described_formula(found.expr, H.names))
+
+
+def _trial_data(solution: Solution) -> dict[str, Any]:
+    trial = solution.trial
+    if isinstance(trial, FeatureTrial):
+        found = {name: np.asarray(getattr(trial, name)) for name in fields_of(FeatureTrial)}
+        return {"kind": "features"} | {name: array.tolist() for name, array in found.items()}
+    from hamsym.networks.chain import Chain  # needs torch
+
+    parts: Any = trial.pieces if isinstance(trial, Chain) else [trial]
+    pieces = [asdict(part.data) for part in parts]
+    for piece in pieces:
+        piece |= {name: piece[name].astype(float).tolist() for name in ("z0", "weights")}
+    end = trial.end if isinstance(trial, Chain) else solution.span[1]
+    return {"kind": "networks", "pieces": pieces, "end": float(end)}

@@ -1,0 +1,1 @@
+"""Enclosures of trajectories and certificates of solutions, on windows of time."""

@@ -1,0 +1,1 @@
+"""Proven zeros: equilibria, roots of polynomials and spectra."""

@@ -1,0 +1,1 @@
+"""Canonical transformations: other coordinates and momenta, and another time."""

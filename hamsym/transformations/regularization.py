@@ -1,0 +1,311 @@
+"""Regularized Hamiltonians: collisions removed by another time and other coordinates.
+
+Input:  a Hamiltonian, and how its time or its coordinates change.
+Output: a :class:`Regularization` with a Hamiltonian in extended phase space, whose time is s.
+
+The time becomes a coordinate T with the momentum P_T = -H. With dt/ds = g(z) > 0,
+
+    Gamma = g (H + P_T)
+
+has the solutions of H where Gamma = 0 (Poincare; Sundman 1912). About a collision at c, with
+r = |u|^2 and matrices L(u) with L L^T = r,
+
+    (x, y, ...) - c = L(u) u,    (p_x, p_y, ...) = L(u) P / (2 r),    g = r.
+
+In the plane L = (u, -v; v, u), so that x + i y = (u + i v)^2 (Levi-Civita 1920). In space L has
+three rows and four columns (Kustaanheimo & Stiefel 1965); the map is canonical where the bilinear
+form l = u_1 P_4 - u_2 P_3 + u_3 P_2 - u_4 P_1 is zero, which it stays. There |p|^2 = |P|^2 / (4 r),
+which is inserted for it: the difference is a multiple of l^2, which has no effect.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import sympy
+
+from hamsym.codegen.functions import compile_observable
+from hamsym.errors import InputError, VariableError
+from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
+from hamsym.support.suggestions import checked_keywords, require_known, suggest_attributes
+from hamsym.symbolic.checks import name_of
+from hamsym.symbolic.exact import rational
+from hamsym.symbolic.variables import TIME
+from hamsym.transformations.canonical_maps import limited
+
+#: Kinds of regularizations: the number of old coordinates, and the names of new ones.
+KINDS = {
+    "levi-civita": (2, ("u", "v")),
+    "kustaanheimo-stiefel": (3, ("u1", "u2", "u3", "u4")),
+}
+
+Formulas = dict[str, sympy.Expr]
+
+
+@suggest_attributes
+@dataclass(frozen=True)
+class Regularization:
+    """A Hamiltonian in extended phase space, from :meth:`hamsym.Hamiltonian.regularized`.
+
+    Its time is s, and the time of the original is its component ``time``.
+
+    Attributes
+    ----------
+    H : Hamiltonian
+    original : Hamiltonian
+    formulas : mapping of str to sympy.Expr
+        The old variables that change, in the new ones.
+    about : mapping of str to float
+        The place of the collision, by the coordinates that change.
+    time : str
+        The component of H that is the time of the original.
+    """
+
+    H: Hamiltonian
+    original: Hamiltonian
+    formulas: Mapping[str, sympy.Expr]
+    about: Mapping[str, float]
+    time: str
+
+    def __repr__(self) -> str:
+        return f"Regularization({self.original.formulas!r} -> {self.H.formulas!r})"
+
+    def start(self, z0: Any, t: float = 0.0) -> np.ndarray:
+        """Compute the state of H, shape (dim,), of a state of the original at a time.
+
+        The momentum of the time is -H(z0), so that the new Hamiltonian is zero.
+
+        Raises
+        ------
+        InputError
+            If H is not finite at the state, as in a collision.
+        """
+        original, dof = self.original, self.H.dof
+        z = original.state_from(z0)
+        system = original.compile("numpy")
+        with np.errstate(all="ignore"):
+            energy = float(system.energy(*system.arguments(z, np.asarray(float(t)))))
+        if not math.isfinite(energy):
+            raise InputError(f"H is {energy} at the start; give one that is no collision")
+        values = dict(zip(original.names, z.tolist(), strict=True))
+        if self.about:
+            values |= self._lifted(values)
+        momentum = self.H.names[dof + self.H.names.index(self.time)]
+        values |= {self.time: float(t), momentum: -energy}
+        return self.H.state_from({name: values[name] for name in self.H.names})
+
+    def to_old(self, z: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Compute the times, shape (...), and the states of the original, shape (..., dim).
+
+        Parameters
+        ----------
+        z : array
+            States of H, shape (..., dim).
+
+        Examples
+        --------
+        >>> import hamsym
+        >>> kepler = Hamiltonian("(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)")
+        >>> plane = kepler.regularized("levi-civita")
+        >>> fall = hamsym.solve(plane.H, plane.start([1, 0, 0, 0]), (0, 5))  # through collisions
+        >>> t, z = plane.to_old(fall(np.sqrt(2) * np.pi / 2 * np.array([1, 2])))
+        >>> (t / (np.pi / np.sqrt(8))).round(9), z[:, 0].round(9) + 0
+        (array([1., 2.]), array([0., 1.]))
+        """
+        states = self.H.states_from(z)
+        form = self.original.real_equations
+        values = {s: rational(v) for s, v in form.parameters.values() if v is not None}
+        columns = []
+        for name in self.original.names:
+            formula = self.formulas.get(name, sympy.Symbol(name, real=True)).xreplace(values)
+            with np.errstate(all="ignore"):
+                found = compile_observable(formula, self.H.real_equations)(states)
+            columns.append(np.broadcast_to(found, states.shape[:-1]))
+        return states[..., self.H.names.index(self.time)], np.stack(columns, axis=-1)
+
+    def _lifted(self, values: Mapping[str, float]) -> dict[str, float]:
+        """The variables u and P of a state: L(u) u is its place, and P = 2 L^T p."""
+        moved, original = list(self.about), self.original
+        momenta = [original.names[original.dof + original.names.index(name)] for name in moved]
+        x, *rest = (values[name] - self.about[name] for name in moved)
+        first = math.sqrt((math.hypot(x, *rest) + abs(x)) / 2)
+        beside = [value / (2 * first) for value in rest]
+        # of the two halves of the circle the one without a difference of near numbers
+        u = [first, *beside] if x >= 0 else [beside[0], first]
+        if len(rest) == 2:
+            u = [*u, 0.0] if x >= 0 else [*u, 0.0, beside[1]]
+        matrix = np.array(_matrix(u), dtype=float)
+        P = 2 * matrix.T @ np.array([values[name] for name in momenta])
+        names = KINDS["levi-civita" if len(moved) == 2 else "kustaanheimo-stiefel"][1]
+        own = [name for name in self.H.names if name.rstrip("_") in names]
+        return dict(zip([*own, *(f"p_{name}" for name in own)], [*u, *P.tolist()], strict=True))
+
+
+def _matrix(u: Sequence[Any]) -> list[list[Any]]:
+    """L(u)."""
+    if len(u) == 2:
+        return [[u[0], -u[1]], [u[1], u[0]]]
+    return [[u[0], -u[1], -u[2], u[3]], [u[1], u[0], -u[3], -u[2]], [u[2], u[3], u[0], u[1]]]
+
+
+@checked_keywords
+def regularize(
+    H: HamiltonianLike,
+    kind: str | None = None,
+    *,
+    sundman: str | sympy.Expr | None = None,
+    coordinates: Sequence[str] | None = None,
+    about: Mapping[str, Any] | None = None,
+) -> Regularization:
+    """Remove collisions from a Hamiltonian; see Hamiltonian.regularized.
+
+    Examples
+    --------
+    >>> regularize("(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)", "levi-civita").H.expr
+    p_time*(u**2 + v**2) + p_u**2/8 + p_v**2/8 - 1
+    """
+    H = Hamiltonian.of(H)
+    if (kind is None) == (sundman is None):
+        raise InputError('give a kind, for example "levi-civita", or sundman=, dt/ds as a formula')
+    if H.forces:
+        raise InputError("forces are not regularized; give a Hamiltonian without forces")
+    form = H.real_equations
+    clock = _free("time", H)
+    T, P_T = sympy.Symbol(clock, real=True), sympy.Symbol(f"p_{clock}", real=True)
+    later = {} if form.time is None else {sympy.Symbol(TIME, real=True): T}
+    if sundman is not None:
+        if coordinates is not None or about is not None:
+            raise InputError("coordinates= and about= belong to a kind, not to sundman=")
+        rate = H.observable(sundman).function.xreplace(later)
+        pairs = [(s, form.z[H.dof + k]) for k, s in enumerate(form.z[: H.dof])]
+        return _extended(H, rate * (form.expr.xreplace(later) + P_T), pairs, (T, P_T), {}, {})
+    require_known(kind, list(KINDS), "a regularization")
+    count, names = KINDS[str(kind)]
+    moved = _moved(H, coordinates, count)
+    places = {name: _place(H, about, name) for name in moved}
+    u = [sympy.Symbol(_free(name, H), real=True) for name in names]
+    P = [sympy.Symbol(f"p_{symbol.name}", real=True) for symbol in u]
+    r = sympy.Add(*(symbol**2 for symbol in u))
+    matrix = sympy.Matrix(_matrix(u))
+    shifts, turned = matrix * sympy.Matrix(u), matrix * sympy.Matrix(P) / r / 2
+    momenta = [H.names[H.dof + H.names.index(name)] for name in moved]
+    formulas: Formulas = {name: places[name] + shifts[k] for k, name in enumerate(moved)}
+    formulas |= {name: turned[k] for k, name in enumerate(momenta)}
+    replaced = {sympy.Symbol(name, real=True): f for name, f in formulas.items()}
+    expr = form.expr
+    added = sympy.Integer(0)
+    if count == 3:
+        expr, added = _without_squares(expr, momenta, sympy.Add(*(s**2 for s in P)) / r / 4)
+    with limited("the regularized Hamiltonian"):
+        inserted = (expr.xreplace(replaced) + added.xreplace(replaced)).xreplace(later)
+        gamma = _times(r, inserted + P_T, [*P, P_T])
+    pairs = list(zip(u, P, strict=True))
+    pairs += [(s, form.z[H.dof + k]) for k, s in enumerate(form.z[: H.dof]) if s.name not in moved]
+    values = {s: rational(v) for s, v in form.parameters.values() if v is not None}
+    numbers = {name: float(place.xreplace(values)) for name, place in places.items()}
+    return _extended(H, gamma, pairs, (T, P_T), formulas, numbers)
+
+
+def _free(name: str, H: Hamiltonian) -> str:
+    """A name that H does not have, for a coordinate and with p_ for its momentum."""
+    while {name, f"p_{name}"} & {*H.names, *H.parameter_names, TIME}:
+        name += "_"
+    return name
+
+
+def _moved(H: Hamiltonian, coordinates: Sequence[str] | None, count: int) -> list[str]:
+    """The coordinates that are zero in a collision."""
+    own = H.names[: H.dof]
+    if coordinates is None and H.dof == count:
+        return list(own)
+    found = [] if coordinates is None else [name_of(name) for name in coordinates]
+    unknown = [name for name in found if name not in own]
+    if unknown or len({*found}) != count:
+        raise VariableError(
+            f"{count} coordinates of a collision are needed, of {', '.join(own)}; give them with "
+            "coordinates=[...]"
+        )
+    return found
+
+
+def _place(H: Hamiltonian, about: Mapping[str, Any] | None, name: str) -> sympy.Expr:
+    """A coordinate of the collision: a number or a formula of parameters."""
+    given = (about or {}).get(name, 0)
+    unknown = sorted({*map(str, about or ())} - {*H.names[: H.dof]})
+    if unknown:
+        raise VariableError(f"about= has '{unknown[0]}', which is no coordinate of H")
+    expr = H.observable(given).function if isinstance(given, (str, sympy.Expr)) else None
+    expr = sympy.Rational(*float(given).as_integer_ratio()) if expr is None else expr
+    if {s.name for s in expr.free_symbols} - {*H.parameter_names}:
+        raise InputError(f"the place {given!r} of the collision depends on more than parameters")
+    return expr
+
+
+def _without_squares(
+    expr: sympy.Expr, momenta: Sequence[str], square: sympy.Expr
+) -> tuple[sympy.Expr, sympy.Expr]:
+    """H without the squares a (p_x^2 + p_y^2 + p_z^2), and a times what is inserted for them.
+
+    Raise InputError if H has no such form, with terms at most linear in these momenta beside.
+    """
+    symbols = [sympy.Symbol(name, real=True) for name in momenta]
+    try:
+        powers = sympy.Poly(expr, *symbols)
+    except sympy.PolynomialError:
+        powers = None
+    second = {} if powers is None else {m: c for m, c in powers.terms() if sum(m) > 1}
+    squares = {(2, 0, 0), (0, 2, 0), (0, 0, 2)}
+    if powers is None or {*second} != squares or len({*second.values()}) != 1:
+        raise InputError(
+            "this regularization needs a kinetic energy "
+            f"a*({' + '.join(f'{name}**2' for name in momenta)}), with terms linear in them"
+        )
+    (factor,) = {*second.values()}
+    rest = sympy.expand(powers.as_expr() - factor * sympy.Add(*(s**2 for s in symbols)))
+    return rest, factor * square
+
+
+def _times(r: sympy.Expr, expr: sympy.Expr, momenta: Sequence[sympy.Symbol]) -> sympy.Expr:
+    """r times H, term by term, so that r cancels where a term has its inverse."""
+    # The root of a square, once factored, is evaluated by sympy.
+    plain = expr.replace(
+        lambda node: node.is_Pow and node.exp.is_Rational and not node.exp.is_Integer,
+        lambda node: sympy.factor(sympy.expand(node.base)) ** node.exp,
+    )
+    terms = [r * term for term in sympy.Add.make_args(plain)]
+    moving = sympy.Add(*(term for term in terms if term.has(*momenta)))
+    resting = sympy.Add(*(term for term in terms if not term.has(*momenta)))
+    try:
+        powers = sympy.Poly(moving, *momenta)
+    except sympy.PolynomialError:
+        return moving + resting
+    return resting + sympy.Add(
+        *(
+            min(coefficient, sympy.cancel(coefficient), key=sympy.count_ops)
+            * sympy.Mul(*(m**k for m, k in zip(momenta, degrees, strict=True)))
+            for degrees, coefficient in powers.terms()
+        )
+    )
+
+
+def _extended(
+    H: Hamiltonian,
+    gamma: sympy.Expr,
+    pairs: Sequence[tuple[sympy.Symbol, sympy.Symbol]],
+    clock: tuple[sympy.Symbol, sympy.Symbol],
+    formulas: Formulas,
+    about: Mapping[str, float],
+) -> Regularization:
+    names = {s.name for s in gamma.free_symbols}
+    every = [*pairs, clock]
+    new = Hamiltonian(
+        gamma,
+        q=[q for q, _ in every],
+        p=[p for _, p in every],
+        parameters={name: value for name, value in H.parameters.items() if name in names},
+    )
+    return Regularization(new, H, formulas, about, clock[0].name)

@@ -1,0 +1,400 @@
+"""Hamiltonians in other variables: hamsym.transform.
+
+Input:  a Hamiltonian and formulas of its variables in new ones, or a generating function.
+Output: a :class:`Transformation` with the new Hamiltonian and the way there and back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import sympy
+
+from hamsym.codegen.functions import compile_observable
+from hamsym.errors import InputError, VariableError
+from hamsym.formula.parser import canonical_name, check_name, parse_expression
+from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
+from hamsym.support.suggestions import checked_keywords, did_you_mean, suggest_attributes
+from hamsym.symbolic.checks import checked_expression, name_of
+from hamsym.symbolic.exact import rational
+from hamsym.symbolic.pairing import find_pairs, natural_order
+from hamsym.symbolic.variables import TIME
+from hamsym.transformations.canonical_maps import (
+    GENERATING,
+    CanonicalMap,
+    full_map,
+    generated_map,
+    point_map,
+    require_canonical,
+    transformed,
+)
+
+_ITERATIONS = 60  # of Newton's method
+_STARTS = 200  # random starts of it
+_NEAR = 64 * float(np.finfo(float).eps)  # relative distance of a solution
+
+
+@suggest_attributes
+@dataclass(frozen=True)
+class Transformation:
+    """A canonical transformation of a Hamiltonian, from :meth:`hamsym.Hamiltonian.transformed`.
+
+    Attributes
+    ----------
+    H : Hamiltonian
+        In the new variables, with the term that a transformation in time adds.
+    original : Hamiltonian
+    formulas : mapping of str to sympy.Expr
+        Each old variable, of those that change, in the new variables.
+    """
+
+    H: Hamiltonian
+    original: Hamiltonian
+    formulas: Mapping[str, sympy.Expr]
+
+    def __repr__(self) -> str:
+        return f"Transformation({self.original.formulas!r} -> {self.H.formulas!r})"
+
+    def to_old(self, z: Any, t: Any = 0.0) -> np.ndarray:
+        """Compute the old variables of states in the new ones.
+
+        Parameters
+        ----------
+        z : array or mapping
+            Shape (..., dim), in the order of ``H.z``.
+        t : float or array
+            Times, shape (...), if the transformation depends on time.
+
+        Returns
+        -------
+        numpy.ndarray
+            Shape (..., dim), in the order of ``original.z``.
+
+        Examples
+        --------
+        >>> import hamsym
+        >>> H = Hamiltonian("(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)")
+        >>> polar = H.transformed({"x": "r*cos(phi)", "y": "r*sin(phi)"}, positive="r")
+        >>> solution = hamsym.solve(polar.H, polar.to_new([1, 0, 0, 1.1]), (0, 10))
+        >>> direct = hamsym.solve(H, [1, 0, 0, 1.1], (0, 10))
+        >>> bool(np.abs(polar.to_old(solution(10.0)) - direct(10.0)).max() < 1e-8)
+        True
+        """
+        states = self.H.states_from(z)
+        times = np.broadcast_to(np.asarray(t, dtype=float), states.shape[:-1])
+        return self._values(states, times)
+
+    def to_new(self, z: Any, t: Any = 0.0, near: Any = None) -> np.ndarray:
+        """Compute the new variables of states in the old ones, by Newton's method.
+
+        Where several states in the new variables are one in the old, as for angles, each is
+        searched from the one before it: those of a trajectory are continuous.
+
+        Parameters
+        ----------
+        z : array or mapping
+            Shape (dim,) or (n, dim), in the order of ``original.z``.
+        t : float or array
+            Times, of shape (n,), if the transformation depends on time.
+        near : sequence or mapping, optional
+            New variables near the first of them; by default they are searched.
+
+        Raises
+        ------
+        InputError
+            If no new variables are found.
+        """
+        states = self.original.states_from(z)
+        rows = np.atleast_2d(states)
+        times = np.broadcast_to(np.asarray(t, dtype=float), rows.shape[:1])
+        last = None if near is None else self.H.state_from(near)
+        found = np.empty_like(rows)
+        for n, (row, time) in enumerate(zip(rows, times, strict=True)):
+            starts = [last] if last is not None else self._starts(row)
+            solutions = (self._solved(start, row, float(time)) for start in starts)
+            last = next((one for one in solutions if one is not None), None)
+            if last is None:
+                known = dict(zip(self.original.names, row.tolist(), strict=True))
+                raise InputError(
+                    f"no new variables are found for {known} at t = {time:g}; give near=, a state "
+                    f"of {', '.join(self.H.names)} not far from them"
+                )
+            found[n] = last
+        return found.reshape(states.shape)
+
+    @cached_property
+    def _functions(self) -> list[Any]:
+        """The old variables as functions of states and times."""
+        form = self.original.real_equations
+        values = {s: rational(v) for s, v in form.parameters.values() if v is not None}
+        expressions = [
+            sympy.sympify(self.formulas.get(name, sympy.Symbol(name, real=True))).xreplace(values)
+            for name in self.original.names
+        ]
+        own = self.H.real_equations
+        both = [*expressions]
+        for expression in expressions:
+            both += [sympy.diff(expression, symbol) for symbol in own.z]
+        return [compile_observable(expression, own) for expression in both]
+
+    def _values(self, z: np.ndarray, t: np.ndarray) -> np.ndarray:
+        functions = self._functions[: self.original.dim]
+        with np.errstate(all="ignore"):
+            columns = [np.broadcast_to(f(z, t), z.shape[:-1]) for f in functions]
+        return np.stack(columns, axis=-1)
+
+    def _starts(self, row: np.ndarray) -> Iterator[np.ndarray]:
+        """Random states, of the size of the old ones and others."""
+        random = np.random.default_rng(0)
+        size = max(float(np.abs(row).max()), 1e-3)
+        for _ in range(_STARTS):
+            yield random.uniform(0.05, 1, len(row)) * size ** random.choice([0, 0.5, 1, 2])
+
+    def _solved(self, start: np.ndarray, row: np.ndarray, time: float) -> np.ndarray | None:
+        """The state whose old variables are a row; None if the iteration does not end there."""
+        dim, z, t = len(row), start.copy(), np.asarray(time)
+        room = _NEAR * max(float(np.abs(row).max()), 1e-300)
+        rest = self._values(z, t) - row
+        for _ in range(_ITERATIONS):
+            if np.abs(rest).max() <= room:
+                return z
+            with np.errstate(all="ignore"):
+                slopes = np.array([float(f(z, t)) for f in self._functions[dim:]])
+            try:
+                step = np.linalg.solve(slopes.reshape(dim, dim), rest)
+            except np.linalg.LinAlgError:
+                return None
+            # halved until the distance falls
+            for halvings in range(12):
+                trial = z - step / 2**halvings
+                after = self._values(trial, t) - row
+                if np.abs(after).max() < np.abs(rest).max():
+                    z, rest = trial, after
+                    break
+            else:
+                return z if np.abs(rest).max() <= 16 * room else None
+        return None
+
+
+@checked_keywords
+def transform(
+    H: HamiltonianLike,
+    formulas: Mapping[Any, Any] | None = None,
+    *,
+    new: Sequence[str] | Mapping[str, str] | None = None,
+    positive: str | Sequence[str] = (),
+    F1: str | sympy.Expr | None = None,
+    F2: str | sympy.Expr | None = None,
+    F3: str | sympy.Expr | None = None,
+    F4: str | sympy.Expr | None = None,
+) -> Transformation:
+    """Write a Hamiltonian in other coordinates and momenta; see Hamiltonian.transformed.
+
+    Examples
+    --------
+    >>> H = Hamiltonian("p**2/2 + x**2/2")
+    >>> transform(H, {"x": "sqrt(2*J)*sin(w)", "p": "sqrt(2*J)*cos(w)"}, new={"w": "J"}).H
+    Hamiltonian('J', pairs (w, J))
+    """
+    H = Hamiltonian.of(H, bound=False)
+    given = {"F1": F1, "F2": F2, "F3": F3, "F4": F4}
+    functions = {kind: value for kind, value in given.items() if value is not None}
+    if (formulas is not None) + len(functions) != 1:
+        raise InputError(
+            "give the old variables as formulas of new ones, or one generating function: "
+            "F1(q, Q), F2(q, P), F3(p, Q) or F4(p, P)"
+        )
+    reader = _Reader(H, positive)
+    found = reader.generated(*functions.popitem(), new) if functions else reader.read(formulas, new)
+    require_canonical(found)
+    return _with_hamiltonian(H, found, reader.plain)
+
+
+class _Reader:
+    """Formulas and names as canonical maps, in symbols with what is known of their signs."""
+
+    def __init__(self, H: Hamiltonian, positive: str | Sequence[str]) -> None:
+        self._H = H
+        names = [positive] if isinstance(positive, str) else list(positive)
+        self._positive = {canonical_name(name_of(name)) for name in names}
+        self._used: set[str] = set()
+
+    def read(self, formulas: Any, new: Any) -> CanonicalMap:
+        """The map of formulas of coordinates, or of coordinates and momenta."""
+        H = self._H
+        if not isinstance(formulas, Mapping) or not formulas:
+            raise InputError(
+                f"{formulas!r} is not a mapping of old variables to formulas; give for example "
+                '{"x": "r*cos(phi)", "y": "r*sin(phi)"}'
+            )
+        spelled = {canonical_name(name): name for name in H.names}
+        known: dict[str, sympy.Expr] = {}
+        for key, value in formulas.items():
+            name = spelled.get(canonical_name(name_of(key)))
+            if name is None:
+                hint = did_you_mean(name_of(key), H.names)
+                raise VariableError(f"H has no variable '{name_of(key)}'{hint}")
+            known[name] = self._expression(value)
+        dof = H.dof
+        pairs = list(zip(H.names[:dof], H.names[dof:], strict=True))
+        moved = [pair for pair in pairs if pair[0] in known or pair[1] in known]
+        whole = all(q in known and p in known for q, p in moved)
+        if not whole and any(p in known for _, p in moved):
+            raise InputError(
+                "give formulas of coordinates alone, whose momenta follow, or of all: "
+                + ", ".join(name for pair in moved for name in pair)
+            )
+        old = [q for q, _ in moved] + [p for _, p in moved]
+        coordinates, momenta = self._new_names(known.values(), new, len(moved), old, whole)
+        symbols = self._symbols([*coordinates, *momenta])
+        values = [
+            known[name].xreplace(self._by_name(known[name], symbols)) for name in old[: len(known)]
+        ]
+        reals = [sympy.Symbol(name, real=True) for name in old]
+        if whole:
+            return full_map(reals, symbols, values)
+        return point_map(reals, symbols, values)
+
+    def generated(self, kind: str, function: Any, new: Any) -> CanonicalMap:
+        """The map of a generating function."""
+        H, expr = self._H, self._expression(function)
+        names = {symbol.name for symbol in expr.free_symbols}
+        dof = H.dof
+        pairs = list(zip(H.names[:dof], H.names[dof:], strict=True))
+        moved = [pair for pair in pairs if names & {*pair}]
+        old = [q for q, _ in moved] + [p for _, p in moved]
+        if not moved:
+            raise InputError(f"{kind} contains no variable of H")
+        if new is None:
+            raise InputError(
+                f'name the new variables of {kind}: new={{"Q": "P"}} for coordinate and momentum'
+            )
+        coordinates, momenta = self._new_names([], new, len(moved), [], True)
+        symbols = self._symbols([*coordinates, *momenta])
+        of_old, of_new = GENERATING[kind]
+        half = len(moved)
+        allowed = {*(old[:half] if of_old == "q" else old[half:])}
+        allowed |= {*(coordinates if of_new == "Q" else momenta), *H.parameter_names, TIME}
+        for name in sorted(names - allowed):
+            raise VariableError(
+                f"{kind} is a function of ({of_old}, {of_new}), which '{name}' is none of; give it "
+                f"in {', '.join(sorted(allowed - {TIME}))}"
+            )
+        reals = [sympy.Symbol(name, real=True) for name in old]
+        return generated_map(kind, expr.xreplace(self._by_name(expr, symbols)), reals, symbols)
+
+    def plain(self, expr: sympy.Expr) -> sympy.Expr:
+        """The expression in real symbols."""
+        return expr.xreplace({s: sympy.Symbol(s.name, real=True) for s in expr.free_symbols})
+
+    def _expression(self, value: Any) -> sympy.Expr:
+        if isinstance(value, str):
+            return self.plain(parse_expression(value))
+        return self.plain(checked_expression(sympy.sympify(value, strict=True), "a formula"))
+
+    def _symbols(self, names: Sequence[str]) -> list[sympy.Symbol]:
+        unknown = self._positive - {canonical_name(name) for name in names}
+        if unknown:
+            raise InputError(
+                f"positive={min(unknown)!r} is no new variable; these are {', '.join(names)}"
+            )
+        return [
+            sympy.Symbol(name, positive=True)
+            if canonical_name(name) in self._positive
+            else sympy.Symbol(name, real=True)
+            for name in names
+        ]
+
+    @staticmethod
+    def _by_name(expr: sympy.Expr, symbols: Sequence[sympy.Symbol]) -> dict[Any, Any]:
+        own = {symbol.name: symbol for symbol in symbols}
+        return {s: own[s.name] for s in expr.free_symbols if s.name in own}
+
+    def _new_names(
+        self, values: Any, new: Any, count: int, old: Sequence[str], whole: bool
+    ) -> tuple[list[str], list[str]]:
+        """Names of the new coordinates and momenta."""
+        H = self._H
+        if isinstance(new, Mapping):
+            coordinates, momenta = [*map(name_of, new)], [*map(name_of, new.values())]
+        elif new is not None:
+            coordinates = [name_of(name) for name in ([new] if isinstance(new, str) else new)]
+            momenta = [f"p_{name}" for name in coordinates]
+        else:
+            names = {symbol.name for value in values for symbol in value.free_symbols}
+            names -= {*H.parameter_names, TIME} | ({*H.names} - {*old})
+            if whole:
+                pairs = find_pairs(names)
+                coordinates, momenta = [q for q, _ in pairs], [p for _, p in pairs]
+            else:
+                coordinates = sorted(names, key=natural_order)
+                momenta = [f"p_{name}" for name in coordinates]
+        every = [*coordinates, *momenta]
+        for name in every:
+            check_name(name)
+            if name in {*H.names, *H.parameter_names, TIME}:
+                raise VariableError(
+                    f"'{name}' is a name of H; new variables need names of their own"
+                )
+        if len(coordinates) != count or len({*every}) != 2 * count:
+            changing = "coordinates change" if count > 1 else "coordinate changes"
+            raise VariableError(
+                f"{count} {changing}, and the new ones are {', '.join(coordinates) or 'none'}; "
+                "name as many with new="
+            )
+        for value in values:
+            known = {*every, *H.parameter_names, TIME, *({*H.names} - {*old})}
+            for symbol in sorted(value.free_symbols, key=str):
+                if symbol.name not in known:
+                    raise VariableError(
+                        f"'{symbol.name}' is neither a new variable nor a parameter of H; the new "
+                        f"ones are {', '.join(every)}"
+                    )
+        return coordinates, momenta
+
+
+def _with_hamiltonian(H: Hamiltonian, found: CanonicalMap, plain: Any) -> Transformation:
+    """The transformation with its Hamiltonian, whose other pairs stay."""
+    form, half = H.real_equations, len(found.old) // 2
+    replaced = dict(zip((s.name for s in found.old), found.new, strict=True))
+    q = [replaced.get(name, sympy.Symbol(name, real=True)) for name in H.names[: H.dof]]
+    p = [replaced.get(name, sympy.Symbol(name, real=True)) for name in H.names[H.dof :]]
+    expr = plain(transformed(form.expr, found) + found.rest)
+    forces = {}
+    if H.forces:
+        old = {s.name: f for s, f in zip(found.old, found.formulas, strict=True)}
+        if any(f.has(*found.new[half:]) for f in found.formulas[:half]):
+            raise InputError("forces need a transformation of coordinates alone")
+        acting = {s.name: f for s, f in zip(form.z[H.dof :], form.forces, strict=True)}
+        for name, momentum in zip(H.names[: H.dof], p, strict=True):
+            if name not in old:
+                forces[momentum.name] = plain(transformed(acting[_pair(H, name)], found))
+        for Q, P in zip(found.new[:half], found.new[half:], strict=True):
+            work = sympy.Add(
+                *(
+                    acting[_pair(H, symbol.name)] * sympy.diff(old[symbol.name], Q)
+                    for symbol in found.old[:half]
+                )
+            )
+            forces[P.name] = plain(transformed(work, found))
+    names = {s.name for s in expr.free_symbols}.union(
+        *({s.name for s in force.free_symbols} for force in forces.values())
+    )
+    new = Hamiltonian(
+        expr,
+        q=[plain(symbol) for symbol in q],
+        p=[plain(symbol) for symbol in p],
+        parameters={name: value for name, value in H.parameters.items() if name in names},
+        forces=forces,
+    )
+    formulas = {s.name: plain(f) for s, f in zip(found.old, found.formulas, strict=True)}
+    return Transformation(new, H, formulas)
+
+
+def _pair(H: Hamiltonian, coordinate: str) -> str:
+    """The name of the momentum of a coordinate."""
+    return H.names[H.dof + H.names.index(coordinate)]

@@ -1,0 +1,128 @@
+"""Frequencies: known motions, random sums, estimated errors, drift, what is refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.special import ellipk
+
+import hamsym
+from hamsym import Hamiltonian, InputError
+
+OSCILLATORS = "1.7*(p_1**2 + q_1**2)/2 + 0.6*(p_2**2 + q_2**2)/2"
+
+
+def _sum(random: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Frequencies that are 12 pi over the span or more apart, amplitudes, phases, and the span."""
+    span = random.uniform(200, 1000)
+    while True:
+        omega = np.sort(random.uniform(-2.5, 2.5, random.integers(1, 6)))
+        if len(omega) == 1 or np.diff(omega).min() * span > 12 * np.pi:
+            break
+    return omega, 10 ** random.uniform(-3, 0, len(omega)), random.uniform(-3, 3, len(omega)), span
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_random_sums_are_found_within_their_errors(seed: int) -> None:
+    omega, size, phase, span = _sum(np.random.default_rng(seed))
+    # Harmonic oscillators have one term each, so that a sum of signals is any sum.
+    formula = " + ".join(f"{w!r}*(p_{k}**2 + q_{k}**2)/2" for k, w in enumerate(omega.tolist()))
+    H = Hamiltonian(formula, q=[f"q_{k}" for k in range(len(omega))],
+                    p=[f"p_{k}" for k in range(len(omega))])  # fmt: skip
+    z0 = np.concatenate([size * np.cos(phase), -size * np.sin(phase)])
+    solution = hamsym.solve(H, z0, (0, span), tol=1e-10)
+    real = " + ".join(f"q_{k}" for k in range(len(omega)))
+    imaginary = " + ".join(f"p_{k}" for k in range(len(omega)))
+    found = solution.frequencies((real, imaginary))
+    for w, a, f in zip(omega, size, phase, strict=True):
+        k = int(np.nanargmin(np.abs(found.frequency[0] - w)))
+        assert abs(found.frequency[0, k] - w) <= found.error[0, k] < 1e-4
+        assert abs(found.amplitude[0, k] / a - 1) < 1e-3
+        turn = found.phase[0, k] - f
+        assert abs((turn + np.pi) % (2 * np.pi) - np.pi) < 0.05
+    assert found.rest[0] < 1e-4
+
+
+def test_pendulum_has_the_odd_multiples_of_its_frequency() -> None:
+    swing = hamsym.solve("p**2/2 - cos(x)", [1.0, 0.0], (0, 400))
+    found = swing.frequencies("x")
+    exact = np.pi / (2 * ellipk(np.sin(0.5) ** 2))
+    assert abs(found.frequency[0, 0] - exact) <= found.error[0, 0] < 1e-9
+    np.testing.assert_allclose(found.frequency[0, :4] / exact, [1, 3, 5, 7], rtol=1e-6)
+    t = np.linspace(0, 400, 700)
+    assert np.abs(found(t)[:, 0].real - swing(t)[:, 0]).max() < 1e-8
+
+
+def test_pairs_of_oscillators_have_one_term_each() -> None:
+    trajectory = hamsym.integrate(OSCILLATORS, [1, 0.5, 0, 0.3], (0, 300), dt=0.02)
+    found = trajectory.frequencies()
+    np.testing.assert_allclose(found.frequency[:, 0], [1.7, 0.6], atol=1e-8)
+    assert found.signals == ("q_1 - i c p_1", "q_2 - i c p_2")
+    assert (found.rest < 1e-7).all()
+
+
+def test_backward_time_and_a_mean_value() -> None:
+    H = Hamiltonian("p**2/2 + 2*(x - 3)**2")
+    forward = hamsym.solve(H, [3.5, 0.2], (0, 200)).frequencies("x")
+    backward = hamsym.solve(H, [3.5, 0.2], (0, -200)).frequencies("x")
+    for found in (forward, backward):
+        assert found.frequency[0, :2].round(8).tolist() == [0.0, 2.0]
+        assert found.amplitude[0, 0] == pytest.approx(3.0, abs=1e-7)
+        t = np.linspace(*found.span, 50)
+        exact = 3 + 0.5 * np.cos(2 * t) + 0.1 * np.sin(2 * t)
+        assert np.abs(found(t)[:, 0].real - exact).max() < 1e-6
+
+
+def test_drift_separates_chaos_from_order() -> None:
+    H = hamsym.systems.henon_heiles().H
+    starts = H.state_at_energy(1 / 8, {"x": 0, "y": np.array([0.55, -0.016]), "p_y": 0})
+    many = hamsym.solve_many(H, starts, (0, 500), tol=1e-6)
+    found = hamsym.frequencies(many, ("x", "p_x"), count=4)
+    assert found.frequency.shape == (2, 1, 4)
+    ordered, chaotic = np.abs(found.drift[:, 0, 0])
+    assert chaotic > 10 * ordered
+    assert found.plot().axes
+    alone = hamsym.frequencies(many[0], ("x", "p_x"), count=4)
+    np.testing.assert_array_equal(alone.frequency, found.frequency[0])
+
+
+def test_weighted_average_of_a_rotation() -> None:
+    turns = hamsym.solve("p**2/2 - cos(x)", [0.0, 2.5], (0, 300))
+    k = 2 / 2.5
+    exact = np.pi * 1.25 / ellipk(k * k)
+    found = hamsym.time_average(turns, "p")
+    assert abs(found.value - exact) <= found.error + 1e-10
+    assert found.error < 1e-8
+
+
+@pytest.mark.parametrize(
+    ("result", "signals", "message"),
+    [
+        (3, (), "not of a int"),
+        ("solution", (("x", "p", "x"),), "is no pair"),
+        ("solution", ("y",), "'y' does not occur in H"),
+        ("short", (), "not at equal steps, or fewer than 64"),
+    ],
+)
+def test_what_has_no_frequencies(result: Any, signals: tuple[Any, ...], message: str) -> None:
+    if result == "solution":
+        result = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 9))
+    if result == "short":
+        result = hamsym.integrate("p**2/2 + x**2/2", [1, 0], (0, 1), steps=20)
+    with pytest.raises(InputError, match=message):
+        hamsym.frequencies(result, *signals)
+
+
+def test_a_fixed_point_has_no_frequency_and_a_figure_says_so() -> None:
+    found = hamsym.solve("p**2/2 + x**2/2", [0, 0], (0, 9)).frequencies()
+    assert not found.success
+    with pytest.raises(InputError, match="nothing to draw"):
+        found.plot()
+
+
+def test_facts_list_the_terms() -> None:
+    found = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 90)).frequencies()
+    assert "x - i c p" in found.summary()
+    assert "angular frequency" in found.plot().axes[0].get_xlabel()

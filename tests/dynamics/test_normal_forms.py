@@ -1,0 +1,126 @@
+"""Birkhoff normal forms: published coefficients, transformations, theorems, what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import hamsym
+from hamsym import CertificationError, Hamiltonian, InputError
+from hamsym.dynamics.equilibrium import Equilibrium
+
+RESTRICTED = (
+    "(p_x**2+p_y**2)/2 + y*p_x - x*p_y - (1-mu)/sqrt((x+mu)**2+y**2) - mu/sqrt((x-1+mu)**2+y**2)"
+)
+
+
+def _L4(mu: float) -> Equilibrium:
+    H = Hamiltonian(RESTRICTED, parameters={"mu": mu})
+    height = np.sqrt(3) / 2
+    return H.equilibria({"x": 0.5 - mu, "y": height, "p_x": -height, "p_y": 0.5 - mu})[0]
+
+
+def _at_origin(text: str) -> Equilibrium:
+    H = Hamiltonian(text)
+    return H.equilibria(dict.fromkeys(H.names, 0.0))[0]
+
+
+def test_pendulum_and_quartic_oscillator() -> None:
+    # H(I) of the pendulum: I - I**2/16 - I**3/256 - 5 I**4/8192
+    form = _at_origin("p**2/2 - cos(x)").normal_form(8)
+    exact = {(1,): 1.0, (2,): -1 / 16, (3,): -1 / 256, (4,): -5 / 8192}
+    for powers, value in exact.items():
+        assert form.coefficients[powers].contains(value)
+    assert form.stable
+
+
+def test_henon_heiles_keeps_its_resonant_terms() -> None:
+    form = _at_origin("(p_x**2+p_y**2)/2 + (x**2+y**2)/2 + x**2*y - y**3/3").normal_form(4)
+    mid = {powers: ball.mid for powers, ball in form.coefficients.items()}
+    assert mid[2, 0] == pytest.approx(-5 / 12, abs=1e-15)
+    assert mid[0, 2] == pytest.approx(-5 / 12, abs=1e-15)
+    assert mid[1, 1] == pytest.approx(1 / 3, abs=1e-15)
+    assert set(form.resonances) == {(-1, 1), (-2, 2)}
+
+
+@pytest.mark.parametrize("mu", [0.001, 0.01, 0.0109, 0.01092, 0.02])
+def test_determinant_of_the_triangular_points_is_the_published_one(mu: float) -> None:
+    form = _L4(mu).normal_form(4)
+    w = form.frequencies.mid
+    s = (w[0] * w[1]) ** 2
+    published = (36 - 541 * s + 644 * s * s) / (8 * (1 - 4 * s) * (4 - 25 * s))
+    c = {powers: ball.mid for powers, ball in form.coefficients.items()}
+    found = 2 * (c[2, 0] * w[1] ** 2 - c[1, 1] * w[0] * w[1] + c[0, 2] * w[0] ** 2)
+    assert found == pytest.approx(published, rel=1e-9)
+    assert form.stable
+    assert "Arnold" in form.statement
+
+
+def test_transformations_are_inverse_and_normalise() -> None:
+    equilibrium = _at_origin("p_1**2/2 + q_1**2 + p_2**2/2 + q_2**2/4 + q_1**2*q_2 + q_1*q_2**3/5")
+    random = np.random.default_rng(3)
+    for degree, room in ((4, 3e-5), (6, 1e-6)):
+        form = equilibrium.normal_form(degree)
+        assert equilibrium.H is not None
+        energy = equilibrium.H.compile("numpy").energy
+        normal = 0.05 * random.uniform(-1, 1, (40, 4))
+        actions = (normal[:, :2] ** 2 + normal[:, 2:] ** 2) / 2
+        z = form.from_normal(normal)
+        assert np.abs(form.to_normal(z) - normal).max() < 20 * room
+        assert np.abs(energy(z) - form.hamiltonian(actions)).max() < room
+    # along a trajectory the actions stay, to the degree that was reached
+    start = form.from_normal([0.03, 0.02, -0.01, 0.04])
+    path = hamsym.solve(equilibrium.H, start, (0, 50))(np.linspace(0, 50, 100))
+    Q, P = np.split(form.to_normal(path), 2, axis=1)
+    assert np.ptp((Q**2 + P**2) / 2, axis=0).max() < 3e-6
+    assert np.ptp((path[:, :2] ** 2), axis=0).max() > 1e-4
+    assert form.domain > 0.05
+
+
+def test_transformation_is_canonical_to_its_degree() -> None:
+    form = _at_origin("p**2/2 - cos(x)").normal_form(8)
+    point, step = np.array([0.2, 0.1]), 1e-5
+    columns = [
+        (form.from_normal(point + d) - form.from_normal(point - d)) / (2 * step)
+        for d in step * np.eye(2)
+    ]
+    assert np.linalg.det(np.array(columns)) == pytest.approx(1, abs=1e-7)
+
+
+def test_signs_of_modes_and_what_is_not_decided() -> None:
+    # 1:2 with energies of both signs: the resonance k = (2, -1) up to order four
+    form = _at_origin("(p_1**2 + q_1**2)/2 - (p_2**2 + q_2**2) + q_1**2*q_2").normal_form(4)
+    assert sorted(form.frequencies.mid.round(12)) == [-2.0, 1.0]
+    assert form.stable is None
+    assert "may be zero" in form.statement
+    three = _at_origin(
+        "(p_1**2+q_1**2)/2 - sqrt(2)*(p_2**2+q_2**2)/2 + sqrt(3)*(p_3**2+q_3**2)/2 + q_1*q_2*q_3"
+    ).normal_form(4)
+    assert three.stable is None
+    assert "no theorem" in three.statement
+    # isochronous: the determinant is zero
+    flat = _at_origin("(p_1**2 + q_1**2)/2 - sqrt(2)*(p_2**2 + q_2**2)/2").normal_form(4)
+    assert flat.stable is None
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("p**2/2 - x**2/2 + x**4/4", "an eigenvalue has a real part|not elliptic"),
+        ("p**2/2 + x**4/4", "equal, zero, or too near"),
+    ],
+)
+def test_equilibria_without_a_normal_form(text: str, message: str) -> None:
+    H = Hamiltonian(text)
+    found = H.equilibria(dict.fromkeys(H.names, 0.0))
+    with pytest.raises(CertificationError, match=message):
+        found[0].normal_form(4)
+
+
+def test_arguments_are_checked() -> None:
+    one = _at_origin("p**2/2 - cos(x)")
+    with pytest.raises(InputError, match="degree"):
+        one.normal_form(1)
+    with pytest.raises(InputError, match="beyond 12"):
+        one.normal_form(13)
+    assert "stable" in one.normal_form(4).summary()

@@ -1,0 +1,572 @@
+"""The independent checker: what it imports and accepts, and forgeries that it refuses."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import itertools
+import json
+import subprocess
+import sys
+from fractions import Fraction
+from pathlib import Path
+
+import mpmath
+import numpy as np
+import pytest
+import sympy
+from flint import acb, arb, arb_series, ctx
+
+import hamsym
+from hamsym.errors import CertificationError, InputError
+from hamsym.problems.description import described
+from hamsym.proof import checker as package
+from hamsym.proof.checker.formulas import Formulas, NotProvenError
+from hamsym.proof.checker.motion import Equations, Step, expanded, steps
+from hamsym.proof.checker.solutions import check_solution
+from hamsym.proof.independent import _trial_data
+
+FOLDER = Path(package.__file__).parent
+QUARTIC = "p**2/2 + x**2/2 + x**4/4"
+
+
+# -- what it is -----------------------------------------------------------------------------------
+
+
+def test_it_imports_flint_and_the_standard_library_alone():
+    for path in FOLDER.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                names = [node.module]
+            else:
+                continue
+            for name in names:
+                own = name.startswith("hamsym.proof.checker")
+                assert own or name.split(".")[0] in {*sys.stdlib_module_names, "flint"}, name
+
+
+@pytest.fixture(scope="module")
+def case():
+    """A solution with its certificate."""
+    solution = hamsym.solve(QUARTIC, [1.3, 1.0], (0, 1.5))
+    return solution, solution.certify()
+
+
+def data_of(solution, certificate):
+    return {
+        "H": described(solution.H),
+        "z0": solution.z0.tolist(),
+        "span": list(solution.span),
+        "trial": _trial_data(solution),
+        "claims": dataclasses.asdict(certificate),
+    }
+
+
+ALONE = """
+import importlib.abc, json, sys
+class Blocked(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        first, *rest = name.split(".")
+        ours = ("hamsym", "hamsym.support", "hamsym.support.suggestions", "hamsym.errors",
+                "hamsym.proof", "hamsym.proof.checker")  # hamsym itself imports lazily
+        if first in ("numpy", "scipy", "sympy", "mpmath", "torch", "numba"):
+            raise ImportError(name)
+        if first == "hamsym" and not (name in ours or name.startswith("hamsym.proof.checker.")):
+            raise ImportError(name)
+sys.meta_path.insert(0, Blocked())
+from hamsym.proof.checker.formulas import NotProvenError
+from hamsym.proof.checker.solutions import check_solution
+data = json.load(sys.stdin)
+check_solution(**data, check_time=lambda: None)
+data["claims"]["bound"] *= 0.97
+try:
+    check_solution(**data, check_time=lambda: None)
+except NotProvenError as error:
+    print(error)
+"""
+
+
+def test_it_runs_where_nothing_else_of_hamsym_can_be_imported(case):
+    text = json.dumps(data_of(*case))
+    found = subprocess.run(
+        [sys.executable, "-c", ALONE], input=text, capture_output=True, text=True, check=True
+    )
+    assert "its claim about the norm is" in found.stdout
+
+
+# -- its parts ------------------------------------------------------------------------------------
+
+FUNCTIONS = (
+    *("sin(x)", "cos(x)", "tan(x)", "cot(x)", "sec(x)", "csc(x)", "asin(x/2)", "acos(x/2)"),
+    *("atan(x)", "acot(x)", "asec(x + 2)", "acsc(x + 2)", "sinh(x)", "cosh(x)", "tanh(x)"),
+    *("coth(x)", "sech(x)", "csch(x)", "asinh(x)", "acosh(x + 1)", "atanh(x/2)", "acoth(x + 2)"),
+    *("asech(x/2)", "acsch(x)", "exp(x)", "log(x)", "sqrt(x)", "erf(x)", "x**(-7/2)", "x**3.2"),
+    *("x**-3", "x**x", "2**x", "1e-3*x - .5*(x/3 + pi)", "(x + 1)*(x + 1)/(x - 3)"),
+)
+
+
+@pytest.mark.parametrize("text", FUNCTIONS)
+def test_derivatives_and_series_are_those_of_sympy(text):
+    x = sympy.Symbol("x", real=True)
+    expr = hamsym.formula.parser.parse_expression(text)
+    formulas = Formulas(["x"], {})
+    place = formulas.parse(text)
+    slope = formulas.gradient(place, 1)[0]
+    with ctx.workprec(200):
+        run = formulas.program([place, slope, formulas.gradient(slope, 1)[0]])
+        point = sympy.Rational(7, 8)
+        values = run([arb(7) / 8])
+        complex_values = run([acb(arb(7) / 8)])
+        ctx.cap = 4
+        series = run([arb_series([arb(7) / 8, 1], 4)])[0]
+        for k, value in enumerate(values):
+            true = arb(str(expr.diff(x, k).subs(x, point).evalf(50)))
+            for found in (value, complex_values[k].real, series[k] * [1, 1, 2][k]):
+                assert abs(found - true) < 1e-40 * (1 + abs(true))
+                assert found.rad() < 1e-40 * (1 + abs(true))
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["x.real", "x[0]", "f(x)", "x if x else 1", "abs(x)", "max(x, 1)", "y", "'a'", "x // 2", "1j",
+     "__import__('os')", "x**2000", "(", "sin(x, x)", "lambda: 1", "True"],
+)  # fmt: skip
+def test_other_texts_are_refused(text):
+    with pytest.raises(NotProvenError):
+        Formulas(["x"], {}).parse(text)
+
+
+@pytest.mark.parametrize("text", ["log(x)", "sqrt(x)", "1/x", "x**(1/3)", "asin(1 + x/9)"])
+def test_functions_are_refused_where_they_are_not_analytic(text):
+    formulas = Formulas(["x"], {})
+    run = formulas.program([formulas.parse(text)])
+    with pytest.raises(NotProvenError):
+        expanded(lambda x: run([x + 1]), 8)
+
+
+def test_taylor_remainders_contain_the_function():
+    with ctx.workprec(128):
+        (found,) = expanded(lambda x: [(x / 2).sin() / (x + 9)], 12)
+        for k in range(-8, 9):
+            x = arb(k) / 8
+            value = sum((c * x**n for n, c in enumerate(found.first)), arb(0))
+            gap = abs(value - (x / 2).sin() / (x + 9))
+            assert gap < found.rest()
+            slope = sum((n * c * x ** (n - 1) for n, c in enumerate(found.first) if n), arb(0))
+            true = (x / 2).cos() / (2 * (x + 9)) - (x / 2).sin() / (x + 9) ** 2
+            assert abs(slope - true) < found.rest_of_derivative()
+
+
+def truth(text, z0, span):
+    """The state at the end of a span, to 40 digits, by mpmath's Taylor series."""
+    H = hamsym.Hamiltonian(text)
+    rates = [sympy.lambdify([*H.z, sympy.Symbol("t")], rate, "mpmath") for rate in H.vector_field]
+    with mpmath.workdps(50):
+        solve = mpmath.odefun(
+            lambda t, z: [rate(*z, t) for rate in rates], mpmath.mpf(span[0]), list(z0), tol=1e-45
+        )
+        return [sympy.Float(value, 50) for value in solve(mpmath.mpf(span[1]))]
+
+
+RANDOM = (
+    "p**2/2 + {a}*x**4/4 + {b}*x**2/2 + {c}*x",
+    "p**2/2 - {a}*cos(x) + {b}*x**2*p/9",
+    "p**2/(2 + {b}*x**2) + exp({a}*x/2) + exp(-x)",
+    "(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2 + {a}*x**2*y - {b}*y**3/3",
+    "(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2 + {a}) + {c}*x*p_y",
+)
+
+
+def random_problem(seed):
+    rng = np.random.default_rng(seed)
+    values = dict(zip("abc", map(float, rng.uniform(0.2, 1, 3).round(3)), strict=True))
+    text = RANDOM[seed % len(RANDOM)].format(**values)
+    z0 = rng.uniform(0.3, 1, hamsym.Hamiltonian(text).dim).tolist()
+    return text, z0, (0.0, float(rng.uniform(0.5, 1.5)))
+
+
+def assert_encloses(seed):
+    text, z0, span = random_problem(seed)
+    with ctx.workprec(208):
+        equations = Equations(described(hamsym.Hamiltonian(text)))
+        *_, last = steps(equations, z0, span, 46, 2.0**-150, lambda: None)
+        for part, tube, true in zip(last.y, last.tube, truth(text, z0, span), strict=True):
+            assert abs(part(arb(1)) - arb(str(true))) <= tube + arb(2) ** -130
+            assert tube < 1e-25
+
+
+def test_steps_enclose_the_solution():
+    assert_encloses(0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", range(0, 200, 10))
+def test_steps_enclose_random_solutions(first):
+    for seed in range(first, first + 10):
+        assert_encloses(seed)
+
+
+def test_a_step_holds_for_every_polynomial(monkeypatch):
+    """A wrong y makes a wide tube or no proof, never a wrong one."""
+    from hamsym.proof.checker import motion
+
+    guess = motion._guess
+
+    def worse(*arguments):
+        found = guess(*arguments)
+        y = [motion.Polynomial([c * (1 + arb(2) ** -40) for c in p.real.coeffs()]) for p in found.y]
+        return dataclasses.replace(found, y=y)
+
+    monkeypatch.setattr(motion, "_guess", worse)
+    with ctx.workprec(208):
+        equations = Equations(described(hamsym.Hamiltonian(QUARTIC)))
+        *_, last = steps(equations, [1.3, 1.0], (0.0, 1.0), 46, 2.0**-150, lambda: None)
+        true = truth(QUARTIC, [1.3, 1.0], (0.0, 1.0))
+        for part, tube, value in zip(last.y, last.tube, true, strict=True):
+            assert 1e-14 < abs(part(arb(1)) - arb(str(value))) <= tube
+
+
+def test_matrices_without_use_prove_nothing(monkeypatch):
+    """V = 0 leaves |1 - V W| = 1."""
+    from hamsym.proof.checker import motion
+
+    guess = motion._guess
+
+    def useless(*arguments):
+        found = guess(*arguments)
+        return dataclasses.replace(found, V=[0 * part for part in found.V])
+
+    monkeypatch.setattr(motion, "_guess", useless)
+    equations = Equations(described(hamsym.Hamiltonian(QUARTIC)))
+    with ctx.workprec(208), pytest.raises(NotProvenError, match="no proof beyond t = 0"):
+        list(steps(equations, [1.3, 1.0], (0.0, 1.0), 46, 2.0**-150, lambda: None))
+
+
+# -- solutions ------------------------------------------------------------------------------------
+
+MEMBERS = {
+    "backward": lambda: hamsym.solve(QUARTIC, [1.3, 1.0], (3.0, 1.5)),
+    "driven": lambda: hamsym.solve("p**2/2 + x**2/2 - 0.3*x*cos(1.3*t)", [1.3, 1], (1e6, 1e6 + 2)),
+    "forces": lambda: hamsym.solve(
+        hamsym.Hamiltonian("p**2/2 + k*x**2/2", parameters={"k": 1.1}, forces={"p": "-p/10"}),
+        [1.3, 1.0],
+        (0, 2),
+    ),
+    "at rest": lambda: hamsym.solve("(px**2 + py**2 + x**2 + y**2*x)/2", [1, 0, 0, 0], (0, 2)),
+    "units": lambda: hamsym.solve("p**2/(2*1.67e-27) + 1e-5*x**2/2", [1e-3, 0], (0, 2e-11)),
+    "functions": lambda: hamsym.solve(
+        "p**2/2 + log(1 + x**2) + tanh(x)*atan(x) + sqrt(2 + x)", [0.3, 1], (0, 1)
+    ),
+    "network": lambda: hamsym.solve(
+        QUARTIC, [1.3, 1], (0, 0.5), method=hamsym.Adam(epochs=30, hidden=(3,))
+    ),
+    "tanh": lambda: hamsym.solve(
+        QUARTIC, [1.3, 1], (0, 0.5), method=hamsym.Adam(epochs=30, hidden=(4, 4), activation="tanh")
+    ),
+    "sigmoid": lambda: hamsym.solve(
+        QUARTIC,
+        [1.3, 1],
+        (1, 0.5),
+        method=hamsym.Adam(
+            epochs=30, hidden=(3,), activation="sigmoid", envelope="linear", shared_weights=False
+        ),
+    ),
+    "chain": lambda: hamsym.solve(QUARTIC, [1.3, 1], (0, 1), method=hamsym.NetworkChain()),
+}
+
+
+@pytest.mark.slow_cases("chain", "functions", "tanh", "sigmoid")
+@pytest.mark.parametrize("name", MEMBERS)
+def test_certificates_are_verified(name):
+    solution = MEMBERS[name]()
+    certificate = solution.certify()
+    hamsym.verify(certificate.to_json(), solution, checker="independent")
+    claims = dataclasses.asdict(certificate)
+    k = int(np.argmax(claims["component_lowers"]))
+    forged = list(claims["component_bounds"])
+    forged[k] = 0.97 * claims["component_lowers"][k]
+    data = data_of(solution, certificate) | {"claims": claims | {"component_bounds": forged}}
+    with pytest.raises(NotProvenError, match=f"the error of {solution.H.names[k]} is false"):
+        check_solution(**data, check_time=lambda: None)
+
+
+def test_bounds_that_were_asked_for_are_verified(case):
+    certificate = case[0].certify(bound=1e-9)
+    hamsym.verify(certificate, case[0], checker="independent")
+
+
+FIELDS = ("bound", "component_bounds", "energy_bound", "ell_max_bound")
+
+
+def changed(certificate, name, change):
+    """Claims with one number changed, name[place] or name."""
+    field, _, place = name.partition(" ")
+    value = getattr(certificate, field)
+    if place:
+        k = int(place)
+        return {field: (*value[:k], change(value[k]), *value[k + 1 :])}
+    return {field: change(value)}
+
+
+def numbers(certificate):
+    """Names of all bounds of a certificate."""
+    for field in (*FIELDS, *(name.replace("bound", "lower") for name in FIELDS), "piece_bounds"):
+        value = getattr(certificate, field)
+        yield from [field] if np.ndim(value) == 0 else [f"{field} {k}" for k in range(len(value))]
+
+
+def forgeries(certificate):
+    """Claims that are false or no bounds at all."""
+    relaxed = {name.replace("bound", "lower"): None for name in FIELDS}
+    for field in relaxed:
+        value = getattr(certificate, field)
+        relaxed[field] = 0.0 if np.ndim(value) == 0 else (0.0,) * len(value)
+    for name in numbers(certificate):
+        if "lower" in name:
+            for factor in (1.03, 1.5, 1e6, 1e300):
+                upper = changed(certificate, name.replace("lower", "bound"), lambda v: v * 1e301)
+                claims = upper | changed(certificate, name, lambda v, f=factor: v * f)
+                if "bound" in upper:  # all components may be as large
+                    claims |= {"piece_bounds": (1e300,) * len(certificate.piece_bounds)}
+                yield f"{name} * {factor}", claims
+        else:
+            for factor in (0.97, 0.5, 1e-3, 1e-30, 0.0):
+                if "piece" in name and factor > 0.3:
+                    continue  # may be true
+                yield (
+                    f"{name} * {factor}",
+                    relaxed | changed(certificate, name, lambda v, f=factor: v * f),
+                )
+        for value in (np.nan, -1.0, -np.inf, -5e-324):
+            yield f"{name} = {value}", changed(certificate, name, lambda v, w=value: w)
+        if "lower" in name:
+            yield f"{name} = inf", changed(certificate, name, lambda v: np.inf)
+    edges = certificate.edges
+    yield (
+        "swapped",
+        {
+            name: getattr(certificate, name)[::-1]
+            for name in ("component_bounds", "component_lowers")
+        },
+    )
+    yield "other end", {"edges": (*edges[:-1], edges[-1] + 0.5)}
+    yield "other start", {"edges": (edges[0] - 0.5, *edges[1:])}
+    yield "reversed", {"edges": edges[::-1]}
+    yield "no pieces", {"edges": (edges[0],), "piece_bounds": ()}
+    yield "NaN edges", {"edges": (edges[0], np.nan, edges[-1]), "piece_bounds": (1.0, 1.0)}
+
+
+def agreed(solution, certificate, claims):
+    """Whether both checkers accept a certificate with other claims; they must agree."""
+    forged = dataclasses.replace(certificate, **claims)
+    verdicts = []
+    for checker in ("kernel", "independent"):
+        try:
+            hamsym.verify(forged, solution, checker=checker)
+            verdicts.append(True)
+        except CertificationError:
+            verdicts.append(False)
+    assert len({*verdicts}) == 1, claims
+    return verdicts[0]
+
+
+def test_forgeries_are_refused_by_both_checkers(case):
+    chosen = itertools.islice(forgeries(case[1]), None, None, 17)
+    assert not any(agreed(*case, claims) for _, claims in chosen)
+
+
+@pytest.mark.slow
+def test_all_forgeries_are_refused_by_both_checkers(case):
+    found = list(forgeries(case[1]))
+    assert len(found) > 100
+    assert [name for name, claims in found if agreed(*case, claims)] == []
+
+
+@pytest.mark.slow
+def test_claims_are_checked_by_the_proof_too(case):
+    """The checker itself refuses forgeries, not only the check of their form before it."""
+    data = data_of(*case)
+    for _, claims in forgeries(case[1]):
+        forged = data | {"claims": data["claims"] | claims}
+        with pytest.raises(NotProvenError):
+            check_solution(**forged, check_time=lambda: None)
+
+
+def test_looser_claims_are_accepted_by_both_checkers(case):
+    certificate = case[1]
+    for name in numbers(certificate):
+        factor = 0.9 if "lower" in name else 1.1
+        claims = changed(certificate, name, lambda v, f=factor: v * f)
+        if name == "bound":
+            assert agreed(*case, claims)
+    every = {
+        field: tuple(f * v for v in value) if np.ndim(value) else f * value
+        for names, f in ((FIELDS, 1.1), ([n.replace("bound", "lower") for n in FIELDS], 0.9))
+        for field in names
+        for value in [getattr(certificate, field)]
+    }
+    assert agreed(*case, every)
+
+
+RESULTS = {
+    "H": lambda s: {"H": hamsym.Hamiltonian("p**2/2 + x**2/2 + 0.25000000001*x**4")},
+    "kinetic": lambda s: {"H": hamsym.Hamiltonian("p**2/1.9999999999 + x**2/2 + x**4/4")},
+    "other pair": lambda s: {"H": hamsym.Hamiltonian("x**2/2 + p**2/2 + p**4/4")},
+    "readout": lambda s: {
+        "trial": dataclasses.replace(s.trial, readouts=s.trial.readouts * (1 + 1e-11))
+    },
+    "zero": lambda s: {"trial": dataclasses.replace(s.trial, readouts=0 * s.trial.readouts)},
+    "series": lambda s: {
+        "trial": dataclasses.replace(s.trial, series=s.trial.series * (1 - 1e-11))
+    },
+    "states": lambda s: {
+        "trial": dataclasses.replace(
+            s.trial, states=np.vstack([s.trial.states[:1], s.trial.states[1:] + 1e-10])
+        )
+    },
+    "z0": lambda s: {
+        "z0": s.z0 + 1e-10,
+        "trial": dataclasses.replace(
+            s.trial, states=np.vstack([s.trial.states[:1] + 1e-10, s.trial.states[1:]])
+        ),
+    },
+}
+
+
+@pytest.mark.parametrize("name", RESULTS)
+def test_certificates_do_not_hold_for_other_results(case, name):
+    """Even where their digest is that of the other result."""
+    from hamsym.solution.digest import digest
+
+    other = dataclasses.replace(case[0], **RESULTS[name](case[0]))
+    assert not agreed(other, dataclasses.replace(case[1], digest=digest(other)), {})
+
+
+# -- equilibria and invariants --------------------------------------------------------------------
+
+
+EQUILIBRIA = (
+    "p**2/2 - cos(x)",
+    "(px**2 + py**2 + x**2 + y**2)/2 + x**2*y - y**3/3",
+    "px*y - py*x + (px**2 + py**2)/2 - 0.9/sqrt((x + 0.1)**2 + y**2)"
+    " - 0.1/sqrt((x - 0.9)**2 + y**2)",
+    "p**2/(2*1.67e-27) + 1e-5*(x - 1e-3)**2/2",
+    "x*y + px*py + 0.1*(x**2 - y**2) + 0.3*px**2",
+)
+
+
+def enclosed_equilibria(text):
+    H = hamsym.Hamiltonian(text)
+    box = dict.fromkeys(H.names, (-2, 2)) if H.dim == 2 else None
+    found = [each for each in hamsym.equilibria(H, box=box) if each.enclosure is not None]
+    assert found
+    return [(H, each) for each in found]
+
+
+@pytest.mark.slow_cases(EQUILIBRIA[2])
+@pytest.mark.parametrize("text", EQUILIBRIA)
+def test_equilibria_are_verified_and_forged_ones_refused(text):
+    for H, found in enclosed_equilibria(text):
+        hamsym.verify(found, H, checker="independent")
+        for forged in forged_equilibria(found):
+            with pytest.raises(CertificationError):
+                hamsym.verify(forged, H, checker="independent")
+
+
+def forged_equilibria(found):
+    ball, linear = found.enclosure, found.linear
+    for i in range(len(found.names)):
+        for shift in (4 * ball.radius[i] + 1e-15, -1e-9, 0.1, np.nan, np.inf, 1e300):
+            middle = ball.mid.copy()
+            middle[i] += shift
+            yield dataclasses.replace(found, enclosure=RawBall(middle, ball.radius))
+        radius = ball.radius.copy()
+        radius[i] = -1.0
+        yield dataclasses.replace(found, enclosure=RawBall(ball.mid, radius))
+    yield dataclasses.replace(found, enclosure=None)
+    yield dataclasses.replace(found, names=found.names[::-1])
+    words = {"centre", "saddle", "centre-centre", "saddle-centre", "focus-focus", "saddle-saddle"}
+    for word in sorted(words - {found.type}):
+        yield dataclasses.replace(found, linear=dataclasses.replace(linear, type=word))
+    yield dataclasses.replace(found, linear=dataclasses.replace(linear, stable=not linear.stable))
+    for sign in {1, -1} - {linear.definite}:
+        yield dataclasses.replace(found, linear=dataclasses.replace(linear, definite=sign))
+
+
+@dataclasses.dataclass
+class RawBall:
+    """A ball whose numbers are not checked."""
+
+    mid: np.ndarray
+    radius: np.ndarray
+
+
+def test_a_degenerate_equilibrium_claims_no_zero():
+    H = hamsym.Hamiltonian("p**2/2 + x**4/4")
+    found = hamsym.equilibria("p**2/2 + x**2/2 + x**4/4", box={"x": (-1, 1), "p": (-1, 1)})[0]
+    with pytest.raises(CertificationError, match="not proven|singular"):
+        hamsym.verify(found, H, checker="independent")
+
+
+INVARIANTS = (
+    "(p_x**2 + p_y**2)/2 + (x**2 + y**2)**2",
+    "(px**2 + py**2)/2 - k/sqrt(x**2 + y**2)",
+    "(p1**2 + p2**2 + p3**2)/2 + exp(q1 - q2) + exp(q2 - q3) + exp(q3 - q1)",
+    "p_th**2/2 + p_f**2/(2*sin(th)**2) + cos(th)",
+    "(p_x**2 + p_y**2 + x**2 + y**2)/2",
+)
+
+
+@pytest.mark.parametrize("text", INVARIANTS)
+def test_invariants_are_verified_and_forged_ones_refused(text):
+    H = hamsym.Hamiltonian(text)
+    energy = hamsym.Invariant(H.expr, 2)
+    for found in [energy, *H.invariants()]:
+        hamsym.verify(found, H, checker="independent")
+        for k, symbol in enumerate(H.z):
+            for change in (symbol, symbol**2, sympy.sin(symbol)):
+                expr = found.expr + sympy.Rational(1, 10**12 + k) * change
+                if H.is_conserved(expr):
+                    continue
+                with pytest.raises(CertificationError, match="conserved is not proven"):
+                    hamsym.verify(dataclasses.replace(found, expr=expr), H, checker="independent")
+
+
+def test_an_invariant_for_some_values_is_none_for_others():
+    H = hamsym.Hamiltonian(
+        "(px**2 + py**2)/2 + (a*x**2 + b*y**2)/2", parameters={"a": 1.0, "b": 1.0}
+    )
+    expr = H.q[0] * H.p[1] - H.q[1] * H.p[0]
+    some = hamsym.Invariant(expr, 2, holds_for={"a": 1.0, "b": 1.0})
+    hamsym.verify(some, H, checker="independent")
+    for values in ({}, {"a": 1.0}, {"a": 1.0, "b": 1.0 + 1e-15}):
+        other = dataclasses.replace(some, holds_for=values)
+        with pytest.raises(CertificationError):
+            hamsym.verify(other, H, checker="independent")
+
+
+# -- other arguments ------------------------------------------------------------------------------
+
+
+def test_what_is_not_covered_is_said():
+    flow = hamsym.flow_map("p**2/2 + x**2/2", {"x": (1, 1.1), "p": 0}, (0, 0.3), tol=1e-6)
+    with pytest.raises(InputError, match="not certificates of flow maps and orbits"):
+        hamsym.verify(flow.certify(), flow, checker="independent")
+
+
+def test_unknown_checkers_are_refused(case):
+    with pytest.raises(InputError, match="independent"):
+        hamsym.verify(case[1], case[0], checker="independant")
+
+
+def test_time_limit_of_the_checker(case):
+    with pytest.raises(CertificationError, match="time limit"):
+        hamsym.verify(case[1], case[0], time_limit=1e-3, checker="independent")
+
+
+def test_steps_know_their_place():
+    step = Step(Fraction(1), Fraction(1, 2), [], [])
+    line = step.line(Fraction(2), Fraction(1, 4))
+    assert [float(c.mid()) for c in line.coeffs()] == [2.0, 0.5]

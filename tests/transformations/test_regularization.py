@@ -1,0 +1,141 @@
+"""Regularized Hamiltonians: through collisions, the same motion, canonical maps, refusals."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import sympy
+
+import hamsym
+from hamsym import Hamiltonian, InputError
+from hamsym.errors import VariableError
+from hamsym.symbolic.brackets import poisson_bracket
+
+PLANE = "(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)"
+SPACE = "(p_x**2 + p_y**2 + p_z**2)/2 - 1/sqrt(x**2 + y**2 + z**2)"
+RESTRICTED = (
+    "(p_x**2 + p_y**2{0})/2 + p_x*y - p_y*x - (1-mu)/sqrt((x+mu)**2 + y**2{1})"
+    " - mu/sqrt((x-1+mu)**2 + y**2{1})"
+)
+MU = {"mu": 0.1}
+
+
+@pytest.mark.parametrize("eccentricity", [0.6, 1 - 1e-12, 1.0])
+@pytest.mark.parametrize("kind", ["levi-civita", "kustaanheimo-stiefel"])
+def test_kepler_through_collisions(kind: str, eccentricity: float) -> None:
+    H, more = (Hamiltonian(PLANE), []) if kind == "levi-civita" else (Hamiltonian(SPACE), [0.0])
+    found, e = H.regularized(kind), eccentricity
+    z0 = [-1 - e, 0.0, *more, 0.0, -np.sqrt((1 - e) / (1 + e)), *more]
+    solution = hamsym.solve(found.H, found.start(z0), (0, 6 * np.pi), atol=1e-12)
+    assert solution.success
+    anomaly = np.linspace(0, 6 * np.pi, 400)
+    t, z = found.to_old(solution(anomaly))
+    E = np.pi + anomaly
+    assert np.abs(z[:, 0] - (np.cos(E) - e)).max() < 1e-9
+    assert np.abs(z[:, 1] - np.sqrt(1 - e * e) * np.sin(E)).max() < 1e-9
+    assert np.abs(t - (E - e * np.sin(E) - np.pi)).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("H", "kind", "options", "z0"),
+    [
+        (PLANE, None, {"sundman": "sqrt(x**2 + y**2)"}, [1, 0, 0.1, 0.4]),
+        (PLANE + " - x*sin(t)/10", "levi-civita", {}, [1, 0, 0, 0.4]),
+        (PLANE + " - x*sin(t)/10", None, {"sundman": "1 + x**2"}, [1, 0, 0, 0.4]),
+        (SPACE, "kustaanheimo-stiefel", {}, [0.3, -0.7, 0.4, 0.1, 0.5, -0.3]),
+        (SPACE, "kustaanheimo-stiefel", {}, [-0.3, 0.7, 0.4, 0.1, 0.5, -0.3]),
+        (
+            Hamiltonian(RESTRICTED.format("", ""), parameters=MU),
+            "levi-civita",
+            {"about": {"x": "1 - mu"}},
+            [0.6, 0.3, 0.1, 0.5],
+        ),
+        (
+            Hamiltonian(RESTRICTED.format(" + p_z**2", " + z**2"), parameters=MU),
+            "kustaanheimo-stiefel",
+            {"about": {"x": "-mu"}},
+            [0.3, -0.7, 0.4, 0.1, 0.5, -0.3],
+        ),
+        (
+            "(p_x**2 + p_y**2 + p_w**2)/2 - 1/sqrt(x**2 + y**2) + w**2/2 + w*x/5",
+            "levi-civita",
+            {"coordinates": ["x", "y"]},
+            [1, 0, 0.3, 0, 0.6, 0.1],
+        ),
+    ],
+)
+def test_motion_is_that_of_the_original(
+    H: Any, kind: str | None, options: dict[str, Any], z0: list[float]
+) -> None:
+    H = Hamiltonian.of(H)
+    z0 = (
+        dict(zip(H.names, z0, strict=True))
+        if "w" not in H.names
+        else dict(zip(["x", "y", "w", "p_x", "p_y", "p_w"], z0, strict=True))
+    )
+    found = H.regularized(kind, **options)
+    solution = hamsym.solve(found.H, found.start(z0, 0.3), (0, 2), atol=1e-12)
+    assert solution.success
+    t, z = found.to_old(solution(np.array([0.0, 1.0, 2.0])))
+    assert t[0] == 0.3
+    direct = hamsym.solve(H, z0, (0.3, float(t[-1])), tol=1e-11)
+    assert np.abs(z - direct(t)).max() < 1e-8
+
+
+def test_spatial_map_is_canonical_where_the_bilinear_form_is_zero() -> None:
+    found = Hamiltonian(SPACE).regularized("kustaanheimo-stiefel")
+    z = sympy.symbols("u1:5 p_u1:5", real=True)
+    u, P = z[:4], z[4:]
+    form = u[0] * P[3] - u[1] * P[2] + u[2] * P[1] - u[3] * P[0]
+    names = list(found.formulas)
+    for i, a in enumerate(names):
+        for j, b in enumerate(names):
+            bracket = poisson_bracket(found.formulas[a], found.formulas[b], z)
+            rest = sympy.numer(sympy.together(bracket - {3: 1, -3: -1}.get(j - i, 0)))
+            assert sympy.rem(sympy.expand(rest), form, P[3]) == 0
+    start = found.start([0.3, -0.7, 0.4, 0.1, 0.5, -0.3])
+    solution = hamsym.solve(found.H, start, (0, 5))
+    own = found.H.observable("u1*p_u4 - u2*p_u3 + u3*p_u2 - u4*p_u1")
+    assert np.abs(own(solution(np.linspace(0, 5, 9)))).max() < 1e-9
+
+
+def test_a_regularized_orbit_is_proven_through_its_collision() -> None:
+    found = Hamiltonian(PLANE).regularized("levi-civita")
+    fall = hamsym.solve(found.H, found.start([1, 0, 0, 0]), (0, 3), prove=True)
+    assert fall.success
+
+
+@pytest.mark.parametrize(
+    ("H", "arguments", "options", "error", "message"),
+    [
+        (PLANE, [], {}, InputError, "give a kind"),
+        (PLANE, ["levi-civita"], {"sundman": "1"}, InputError, "give a kind"),
+        (PLANE, ["levi civita"], {}, InputError, "levi-civita"),
+        (PLANE, ["kustaanheimo-stiefel"], {}, VariableError, "3 coordinates of a collision"),
+        (PLANE, ["levi-civita"], {"coordinates": ["x", "x"]}, VariableError, "2 coordinates"),
+        (PLANE, ["levi-civita"], {"coordinates": ["x", "z"]}, VariableError, "of x, y"),
+        (PLANE, ["levi-civita"], {"about": {"z": 1}}, VariableError, "about= has 'z'"),
+        (PLANE, ["levi-civita"], {"about": {"x": "y"}}, InputError, "more than parameters"),
+        (PLANE, [], {"sundman": "x", "about": {"x": 1}}, InputError, "belong to a kind"),
+        (SPACE + " + p_x**4", ["kustaanheimo-stiefel"], {}, InputError, "kinetic energy"),
+        (
+            Hamiltonian(PLANE, forces={"p_x": "-p_x"}),
+            ["levi-civita"],
+            {},
+            InputError,
+            "without forces",
+        ),
+    ],
+)
+def test_what_is_not_regularized(
+    H: Any, arguments: list[str], options: dict[str, Any], error: type, message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        Hamiltonian.of(H).regularized(*arguments, **options)
+
+
+def test_a_start_in_a_collision_is_refused() -> None:
+    with pytest.raises(InputError, match="no collision"):
+        Hamiltonian(PLANE).regularized("levi-civita").start([0, 0, 1, 0])

@@ -1,0 +1,196 @@
+"""Canonical transformations: new Hamiltonians, motion on both sides, and what is refused."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import mpmath
+import numpy as np
+import pytest
+import sympy
+
+import hamsym
+from hamsym import Hamiltonian, InputError
+from hamsym.errors import VariableError
+from hamsym.symbolic.brackets import poisson_bracket
+
+KEPLER = "(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)"
+SPACE = "(p_x**2 + p_y**2 + p_z**2)/(2*m) - k/sqrt(x**2 + y**2 + z**2) + x*z/9"
+OSCILLATOR = "p**2/2 + x**2/2"
+POLAR = {"x": "r*cos(phi)", "y": "r*sin(phi)"}
+
+#: (H, formulas, options, a state, whether time enters)
+CASES: list[tuple[Hamiltonian, dict[str, Any], dict[str, Any], list[float]]] = [
+    (Hamiltonian(KEPLER), POLAR, {"positive": "r"}, [1.0, 0.2, -0.1, 1.1]),
+    (
+        Hamiltonian(SPACE, parameters={"m": 2.0, "k": 1.5}),
+        {"x": "r*sin(th)*cos(ph)", "y": "r*sin(th)*sin(ph)", "z": "r*cos(th)"},
+        {"positive": ["r"], "new": ["r", "th", "ph"]},
+        [0.7, -0.4, 0.3, 0.2, 1.1, 0.5],
+    ),
+    (
+        Hamiltonian(SPACE, parameters={"m": 2.0, "k": 1.5}),
+        POLAR,  # z stays
+        {"positive": "r"},
+        [0.7, -0.4, 0.3, 0.2, 1.1, 0.5],
+    ),
+    (
+        Hamiltonian(KEPLER),  # a rotating frame
+        {"x": "X*cos(t) - Y*sin(t)", "y": "X*sin(t) + Y*cos(t)"},
+        {},
+        [1.0, 0.2, -0.1, 1.1],
+    ),
+    (
+        Hamiltonian(OSCILLATOR),
+        {"x": "sqrt(2*J)*sin(w + t)", "p": "sqrt(2*J)*cos(w + t)"},
+        {"new": {"w": "J"}, "positive": "J"},
+        [0.3, 0.9],
+    ),
+    (Hamiltonian("p**2/2 + x**4/4"), {"x": "P", "p": "-Q"}, {"new": {"Q": "P"}}, [0.4, 0.9]),
+    (
+        Hamiltonian("p**2/2 - cos(x) - x*sin(t)/3", forces={"p": "-p/5 + cos(x)"}),
+        {"x": "X + X**3/6 + sin(t)"},
+        {},
+        [0.4, 0.2],
+    ),
+]
+
+
+MARKED = [pytest.param(*case, marks=[pytest.mark.slow] * (k == 1)) for k, case in enumerate(CASES)]
+
+
+@pytest.mark.parametrize(("H", "formulas", "options", "z0"), MARKED)
+def test_motion_is_the_same_on_both_sides(
+    H: Hamiltonian, formulas: dict[str, Any], options: dict[str, Any], z0: list[float]
+) -> None:
+    found = H.transformed(formulas, **options)
+    start = found.to_new(z0)
+    assert np.abs(found.to_old(start) - z0).max() < 1e-13
+    times = np.linspace(0, 6, 40)
+    new = hamsym.solve(found.H, start, (0, 6), tol=1e-11, atol=1e-12)
+    old = hamsym.solve(H, z0, (0, 6), tol=1e-11, atol=1e-12)
+    assert new.success
+    assert np.abs(found.to_old(new(times), times) - old(times)).max() < 1e-9
+    # and back along the trajectory, without jumps of angles
+    back = found.to_new(old(times), times, near=start)
+    assert np.abs(back - new(times)).max() < 1e-8
+
+
+@pytest.mark.parametrize(("H", "formulas", "options", "z0"), MARKED)
+def test_brackets_of_the_old_variables(
+    H: Hamiltonian, formulas: dict[str, Any], options: dict[str, Any], z0: list[float]
+) -> None:
+    found = H.transformed(formulas, **options)
+    known = found.formulas
+    point = dict(zip(found.H.names, found.to_new(z0, 0.4).tolist(), strict=True))
+    values = {sympy.Symbol(n, real=True): sympy.Float(v, 30) for n, v in point.items()}
+    values[sympy.Symbol("t", real=True)] = sympy.Rational(2, 5)
+    form = found.H.real_equations
+    for a in known:
+        for b in known:
+            bracket = poisson_bracket(known[a], known[b], form.z)
+            pair = (H.names.index(a), H.names.index(b))
+            expected = {H.dof: 1, -H.dof: -1}.get(pair[1] - pair[0], 0)
+            assert abs(bracket.xreplace(values).evalf(30) - expected) < 1e-20
+
+
+@pytest.mark.slow
+def test_motion_in_25_digits_on_both_sides() -> None:
+    for H, formulas, options, z0 in (CASES[0], CASES[3], CASES[4]):
+        found = H.transformed(formulas, **options)
+        start = found.to_new(z0)
+        with mpmath.workdps(25):
+            ends = []
+            for own, z in ((H, [*map(mpmath.mpf, z0)]), (found.H, None)):
+                rates = list(own.vector_field)
+                function = sympy.lambdify([*own.z, sympy.Symbol("t")], rates, "mpmath")
+                state = z if z is not None else [*map(mpmath.mpf, start.tolist())]
+                solution = mpmath.odefun(lambda t, y, f=function: f(*y, t), 0, state)
+                ends.append([float(v) for v in solution(1)])
+            assert np.abs(found.to_old(ends[1], 1.0) - ends[0]).max() < 1e-13
+
+
+def test_readable_hamiltonians() -> None:
+    polar = Hamiltonian(KEPLER).transformed(POLAR, positive="r").H
+    assert polar == Hamiltonian(
+        "p_r**2/2 + p_phi**2/(2*r**2) - 1/r", q=["phi", "r"], p=["p_phi", "p_r"]
+    )
+    frame = Hamiltonian(KEPLER).transformed(CASES[3][1]).H
+    assert frame.time is None
+    assert frame.is_conserved("X*p_Y - Y*p_X")
+
+
+@pytest.mark.parametrize(
+    ("kind", "function", "expected"),
+    [
+        ("F1", "x*X", "X**2/2 + P**2/2"),
+        ("F2", "x*P + P**2/2", "P**2/2 + (X - P)**2/2"),
+        ("F3", "-p*X + p**2/2", None),
+        ("F4", "p*P", "X**2/2 + P**2/2"),
+        ("F2", "(x - t)*P", "P**2/2 + (X + t)**2/2 - P"),
+    ],
+)
+def test_generating_functions(kind: str, function: str, expected: str | None) -> None:
+    found = Hamiltonian(OSCILLATOR).transformed(new={"X": "P"}, **{kind: function})
+    if expected is not None:
+        assert sympy.expand(found.H.expr - Hamiltonian(expected, q=["X"], p=["P"]).expr) == 0
+    z0 = [0.3, -0.8]
+    new = hamsym.solve(found.H, found.to_new(z0), (0, 3), atol=1e-10)
+    exact = np.array([np.cos(3) * 0.3 - np.sin(3) * 0.8, -np.sin(3) * 0.3 - np.cos(3) * 0.8])
+    assert np.abs(found.to_old(new(3.0), 3.0) - exact).max() < 1e-8
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "message"),
+    [
+        ({"x": "2*X", "p": "P"}, {}, "{x, p} is 2 in the new variables, not 1"),
+        ({"x": "X + P**2", "p": "P + X**2"}, {"new": {"X": "P"}}, "not canonical"),
+        ({"x": "3"}, {"new": "X"}, "the determinant of their derivatives by X is zero"),
+        ({}, {}, "not a mapping of old variables"),
+        ("x", {}, "not a mapping of old variables"),
+        (None, {}, "or one generating function"),
+        ({"x": "X"}, {"F2": "x*P"}, "or one generating function"),
+        ({"x": "X*t"}, {"positive": "q"}, "positive='q' is no new variable"),
+        ({"p": "P"}, {}, "give formulas of coordinates alone"),
+        (None, {"F2": "x*P"}, "name the new variables of F2"),
+        (
+            None,
+            {"F1": "x**2*X + x*X**2", "new": {"X": "P"}},
+            "the equations of F1 have 2 solutions",
+        ),
+        (None, {"F1": "x", "new": {"X": "P"}}, "of F1 have no solution for x, p"),
+        ({"x": "X**3 + X*exp(X*t)", "p": "P"}, {}, "not canonical"),
+    ],
+)
+def test_maps_that_are_refused(arguments: Any, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=re.escape(message)):
+        Hamiltonian(OSCILLATOR).transformed(arguments, **options)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "message"),
+    [
+        ({"y": "X"}, {}, "H has no variable 'y'"),
+        ({"x": "x + 1"}, {}, "'x' is a name of H"),
+        ({"x": "X*Y"}, {}, "1 coordinate changes, and the new ones are X, Y"),
+        ({"x": "X/m"}, {"new": "X"}, "'m' is neither a new variable nor a parameter of H"),
+        (None, {"F2": "x*X", "new": {"X": "P"}}, "F2 is a function of (q, P), which 'X' is none"),
+        ({"x": "X"}, {"new": {"X": "X"}}, "name as many with new="),
+    ],
+)
+def test_names_that_do_not_fit(arguments: Any, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(VariableError, match=re.escape(message)):
+        Hamiltonian(OSCILLATOR).transformed(arguments, **options)
+
+
+def test_forces_need_coordinates_alone() -> None:
+    H = Hamiltonian(OSCILLATOR, forces={"p": "-p"})
+    with pytest.raises(InputError, match="coordinates alone"):
+        H.transformed({"x": "P", "p": "-Q"}, new={"Q": "P"})
+
+
+def test_states_without_new_variables() -> None:
+    found = Hamiltonian(OSCILLATOR).transformed({"x": "exp(X)"})
+    with pytest.raises(InputError, match="no new variables are found for"):
+        found.to_new([-1.0, 0.0])
