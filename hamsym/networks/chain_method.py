@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -145,8 +146,8 @@ def _trained(
     settings: ChainSettings,
     advance: Callable[[float], None],
 ) -> TrainedChain:
-    march, equal = guess.record, method.windows is not None
-    edges = guess.trial.origin + march.edges
+    march: Any = guess.record
+    equal, edges = method.windows is not None, march.origin + march.edges
     if method.windows is not None:
         edges = np.linspace(edges[0], edges[-1], method.windows + 1)
     found = ChainRun(
