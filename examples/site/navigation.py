@@ -11,8 +11,6 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from reference import LEMMAS
-
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
@@ -40,8 +38,6 @@ def _target(path: str, folder: str, anchor: str) -> str | None:
         found = _PLACES[path] + (anchor if path in _COPIES else "")
     elif re.fullmatch(r"examples/gallery/plot_\w+\.py", path):
         found = f"generated/gallery/{Path(path).stem}.rst"
-    elif ".".join(Path(path).with_suffix("").parts[2:]) in LEMMAS:
-        found = f"generated/reference/proofs.md#{Path(path).stem}"
     elif path.startswith("examples/") and (_ROOT / path).is_file():
         found = posixpath.relpath(path, _GUIDE) + anchor
     else:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import importlib
 import inspect
-import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from docstrings import prepared
 
 import hamsym
-import hamsym.kernel
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
@@ -53,18 +51,6 @@ _MEMBERS = """\
    :inherited-members: Sequence, tuple
    :special-members: __call__, __getitem__
 """
-# Headers of the kernel, whose first comments state lemmas of the proofs, and modules of proofs.
-HEADERS = ("balls.h", "series.h", "enclosures.h")
-LEMMAS = (
-    "windows.window_lemma",
-    "windows.window_sets",
-    "windows.trial_models",
-    "windows.window_proof",
-    "windows.enclose",
-    "boxes.box_proof",
-    "boxes.tube",
-    "boxes.map_models",
-)
 
 
 def _heading(text: str, mark: str = "=") -> str:
@@ -127,27 +113,6 @@ def _index(pages: dict[str, list[tuple[str, str]]]) -> str:
     return text
 
 
-def _lemmas() -> str:
-    """Return what headers and modules of the proofs say: their formulas are plain text."""
-    text = (
-        "# Lemmas of the proofs\n\n"
-        "The comments and docstrings of the code that proves, word by word. "
-        "[How the proofs work](../../how_proofs_work.md) explains them.\n\n"
-    )
-    for name in HEADERS:
-        comment = (Path(hamsym.kernel.__path__[0]) / name).read_text("utf-8").split("*/")[0]
-        first, _, rest = textwrap.dedent("  " + comment.strip(" /*\n")).partition("\n")
-        text += f"## {name}\n\n`hamsym/kernel/{name}`: {first.strip()}\n\n"
-        text += f"```text\n{textwrap.dedent(rest).strip()}\n```\n\n"
-    for name in LEMMAS:
-        path, name = f"hamsym.proof.{name}", name.split(".")[-1]
-        first, _, rest = (importlib.import_module(path).__doc__ or "").partition("\n")
-        text += f"## {name}\n\n`{path}`: {first}\n\n"
-        if rest.strip():
-            text += f"```text\n{rest.strip()}\n```\n\n"
-    return text
-
-
 def pages() -> dict[str, str]:
     """Return the text of all pages of the reference by file name."""
     texts: dict[str, str] = {}
@@ -157,13 +122,9 @@ def pages() -> dict[str, str]:
         texts |= {f"hamsym.{n}.rst": _page(f"hamsym.{n}") for n in names}
     index["Other objects"] = [(path, _first_sentence(found(path))) for path in RETURNED]
     texts |= {f"{path}.rst": _page(path) for path in RETURNED}
-    index["Commands and lemmas"] = [
-        ("commands", "The command line: every command with its options."),
-        ("proofs", "The lemmas of the proofs, with every inequality."),
-    ]
+    index["Commands"] = [("commands", "The command line: every command with its options.")]
     command = ".. click:: hamsym.cli.commands:cli\n   :prog: hamsym\n   :nested: full\n"
     texts["commands.rst"] = _heading("Command line") + command
-    texts["proofs.md"] = _lemmas()
     return texts | {"index.rst": _index(index)}
 
 

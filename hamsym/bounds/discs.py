@@ -26,7 +26,7 @@ def disc_tables(terms: int, decade: int) -> DiscTables:
     """Make the tables for Chebyshev series of so many terms and a tolerance of a power of ten."""
     rho = _sum_of_axes(_SHARE * 10.0**decade)
     middles, radius = _cover(rho)
-    series = np.eye(terms)
+    series: np.ndarray = np.eye(terms)
     at = chebyshev.chebvander(middles, terms - 1).T  # T_k at the centres
     # |T_k(c + w) - T_k(c)| is at most the sum of the terms of its Taylor series.
     extent, weight = np.zeros_like(at), 1.0

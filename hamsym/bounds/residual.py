@@ -2,10 +2,11 @@
 
 The march judges a window by its residual at fixed places. A feature between them, for example a
 pulse of the force that is narrower than their distance, leaves no trace there. Here the residual
-dz^/dt - J grad H(z^) of a window is bounded by arithmetic of models
-(:mod:`hamsym.bounds.models`), so that a feature of any width, in time or along the orbit, shows.
+dz^/dt - J grad H(z^) of a window is bounded, so that a feature of any width, in time or along the
+orbit, shows: by bounds of the formulas in discs around it (:mod:`hamsym.bounds.discs`) or, where
+these have none, by arithmetic of models (:mod:`hamsym.bounds.models`).
 
-Where the bound exceeds the limit the window is halved. A part passes as soon as its bound, times
+Where both bounds exceed the limit the window is halved. A part passes as soon as its bound, times
 its length, cannot matter; it fails where its residual, at places of its own, does matter; and it
 is halved again while neither is known. So a pulse is met after as many halvings as the logarithm
 of its width, and what the trajectory does not reach costs nothing. A part that float64 cannot
@@ -28,7 +29,7 @@ from hamsym.kernel.loops import Equations as Programs
 from hamsym.symbolic.equations import Equations
 
 _SHARE = 1 / 64  # of the limit of a window that a part may use, however short it is
-_MOST_SHARES = 4.0  # of the limit, that all parts of a window may use
+MOST_SHARES = 4.0  # of the limit, that all parts of a window may use
 _MOST_PARTS = 256  # of one generation of halves
 _AT_ONCE = 56  # parts in one evaluation of models: products so small are not spread over threads
 _GENERATIONS = 60
@@ -79,11 +80,15 @@ class Parts:
 
 
 class Excess(NamedTuple):
-    """A window whose residual may exceed its limit: its number, a time, and the ratio."""
+    """A window whose residual may exceed its limit: its number, a time, and the ratio.
+
+    The width is that of the part around this time at which that was known, in window lengths.
+    """
 
     window: int
     time: float
     ratio: float
+    width: float
 
 
 @dataclass
@@ -105,6 +110,11 @@ class ExcessSearch:
     noise: float
     #: Whether to search for the first of them only.
     first_only: bool = False
+    #: Whether a residual counts over the whole of each window, however short it is.
+    whole: np.ndarray | bool = False
+    #: Integral of the round-off of the formula over the parts of each window that passed, if it is
+    #: counted instead of being a residual, shape (windows, dim).
+    rounding: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         self._lengths = np.abs(self.edges[1] - self.edges[0])
@@ -130,14 +140,17 @@ class ExcessSearch:
         """Judge parts of one generation; return those that neither pass nor fail."""
         chunks = range(0, len(parts), _AT_ONCE)
         judged = [self._judged(parts[slice(first, first + _AT_ONCE)]) for first in chunks]
-        upper, lower, times = (np.concatenate(found) for found in zip(*judged, strict=True))
+        found = (np.concatenate(columns) for columns in zip(*judged, strict=True))
+        upper, lower, times, rounding = found
         window, count = parts.window, len(self.limits)
         passed = upper <= np.maximum(parts.width, _SHARE)
         above = self._spent + np.bincount(window, upper, count)
         np.add.at(self._spent, window[passed], upper[passed])
-        settled = above <= _MOST_SHARES
+        if self.rounding is not None:
+            np.add.at(self.rounding, window[passed], rounding[passed])
+        settled = above <= MOST_SHARES
         below = np.maximum(np.bincount(window, lower, count), self._spent)
-        failed = ~settled & ~(below <= _MOST_SHARES)
+        failed = ~settled & ~(below <= MOST_SHARES)
         # What cannot be divided any more fails too.
         smallest = ~passed & ~(self._lengths[window] * parts.width > self._resolution[window])
         failed[window[smallest & ~settled[window]]] = True
@@ -145,9 +158,14 @@ class ExcessSearch:
         kept = ~(passed | settled[window])
         # The largest residual that was met, or the largest bound where none was.
         order = np.lexsort((upper, lower, window))
-        last = dict(zip(window[order].tolist(), times[order].tolist(), strict=True))
-        some = np.flatnonzero(failed)
-        self._add([Excess(w, last[w], float(above[w])) for w in some.tolist()])
+        last = dict(zip(window[order].tolist(), order.tolist(), strict=True))
+        ratios = np.where(below > MOST_SHARES, below, above)
+        self._add(
+            [
+                Excess(w, float(times[last[w]]), float(ratios[w]), float(parts.width[last[w]]))
+                for w in np.flatnonzero(failed).tolist()
+            ]
+        )
         kept &= ~failed[window]
         if self.first_only and self._found:
             kept &= window < self._found[0].window
@@ -157,8 +175,8 @@ class ExcessSearch:
         """Return what was found, with the windows of parts that stayed undecided."""
         some = np.unique(parts.window, return_index=True)[1]
         middle = self.trial(parts[some]).t[:, PLACES // 2]
-        rows = zip(parts.window[some].tolist(), middle.tolist(), strict=True)
-        self._add([Excess(window, time, math.inf) for window, time in rows])
+        rows = zip(parts[some].window, middle, parts[some].width, strict=True)
+        self._add([Excess(int(w), float(t), math.inf, float(width)) for w, t, width in rows])
         return self._found
 
     def _add(self, some: list[Excess]) -> None:
@@ -166,32 +184,36 @@ class ExcessSearch:
         if self.first_only:
             del self._found[1:]
 
-    def _judged(self, parts: Parts) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _judged(self, parts: Parts) -> tuple[np.ndarray, ...]:
         """Bound the integral of the residual over each part, in limits of its window.
 
         - returns upper, lower: A bound and, where that matters, a sum over places, without
           round-off; shape (parts,).
         - returns times: At which the residual is largest, shape (parts,).
+        - returns rounding: Integral of the round-off of the formula, shape (parts, dim).
         """
         places, limits = self.trial(parts), self.limits[parts.window]
-        weight = self._lengths[parts.window] * parts.width
-        bounds, _ = bounds_on_parts(self.programs, places, self.edges, parts, self.parameters)
+        whole = np.broadcast_to(self.whole, self._lengths.shape)[parts.window]
+        weight = self._lengths[parts.window] * np.where(whole, 1.0, parts.width)
+        bounds, formula = bounds_on_parts(self.programs, places, self.edges, parts, self.parameters)
         upper = largest_ratios(bounds * weight[:, None], limits)
         lower, times = np.zeros(len(parts)), places.t[:, PLACES // 2].copy()
         large = np.flatnonzero(~(upper <= np.maximum(parts.width, _SHARE)))
         if len(large):
             some, at = parts[large], Places(*(array[large] for array in places))
             rounded, own = self.noise * _round_off(self.rates, at, some), weight[large, None]
+            if self.rounding is not None:
+                rounded = np.maximum(rounded, formula[large])
             rounded = np.where(rounded < math.inf, rounded, 0.0)  # infinite or NaN excuses nothing
             found = _residuals(self.rates, at, some)
             upper[large] = largest_ratios(
                 np.maximum(bounds[large] - rounded, 0.0) * own, limits[large]
             )
-            mean = np.maximum(found.mean(axis=1) - rounded, 0.0)
-            lower[large] = largest_ratios(mean * own, limits[large])
+            met = np.where(whole[large, None], found.max(axis=1), found.mean(axis=1))
+            lower[large] = largest_ratios(np.maximum(met - rounded, 0.0) * own, limits[large])
             peaks = largest_ratios(found, limits[large, None]).argmax(axis=1)
             times[large] = at.t[np.arange(len(large)), peaks]
-        return upper, lower, times
+        return upper, lower, times, formula * (self._lengths[parts.window] * parts.width)[:, None]
 
 
 def bounds_on_parts(

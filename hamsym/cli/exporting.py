@@ -67,7 +67,8 @@ def export(
     solution = saved_solution(file)
     path = Path(certificate or f"{file}{CERTIFICATE}")
     proof = None
-    if certificate is not None or path.exists():
+    is_page = output.lower().endswith(".html")
+    if certificate is not None or (path.exists() and not is_page):
         proof = _certificate(path, solution)
     solution.export(
         output,

@@ -69,5 +69,6 @@ def verify(file: str, certificate: str | None, time_limit: float | None, checker
     claims = read_certificate(Path(certificate or f"{file}{CERTIFICATE}"))
     run(claims, file, time_limit, checker=checker)
     facts = claims.facts
-    text = f"{wrapped(facts.headline, 'verified: ')}\nevery bound of the certificate is proven"
+    by = " by the independent checker" if checker == "independent" else ""
+    text = f"{wrapped(facts.headline, 'verified: ')}\nevery bound of the certificate is proven{by}"
     return Report(text, facts.values())

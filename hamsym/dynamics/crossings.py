@@ -21,7 +21,7 @@ from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.coefficients import Doubled
 from hamsym.integrators.energy_drift import EnergyDrift
-from hamsym.integrators.hidden_features import hidden_features
+from hamsym.integrators.hidden_features import Path, hidden_features
 from hamsym.integrators.stepper import Stepper
 from hamsym.numerics.intervals import Intervals, Ranges
 from hamsym.numerics.isolation import Cells, component_ranges, isolated_zeros, rate_bends
@@ -163,7 +163,7 @@ class Crossings:
             share = self._setting.share / self._setting.steps * (len(times) - 1)
             return share * features.sizes(path[index], times, own)
 
-        found = features.search(path, times, values, allowed).times
+        found = features.search(Path(path, times), values, allowed).times
         return (
             math.nan if np.isnan(found).all() else float(found[np.nanargmin(abs(found - times[0]))])
         )

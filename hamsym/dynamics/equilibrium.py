@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     import sympy
 
 
+#: Words of stability for the parts of a type.
+_WORDS = {"centre": "elliptic", "saddle": "hyperbolic", "focus-focus": "complex unstable"}
+
+
 @suggest_attributes
 @dataclass(frozen=True, eq=False)
 class Equilibrium(Drawn, Shown):
@@ -172,7 +176,8 @@ class Equilibrium(Drawn, Shown):
         state = ", ".join(f"{name} = {value}" for name, value in pairs)
         lines = [f"{self.type} at {state}"]
         if self.linear is not None:
-            lines += [f"energy {self.energy:.10g}, {self.stability}", self.spectrum]
+            definite = ", stable (the Hessian is definite)" if self.lyapunov_stable else ""
+            lines += [f"energy {self.energy:.10g}, {self.stability}{definite}", self.spectrum]
         lines += [self.evidence]
         if self.family:
             lines += [f"part of a continuum: {self.family}"]
@@ -180,11 +185,17 @@ class Equilibrium(Drawn, Shown):
 
     @property
     def stability(self) -> str:
-        """Stability in words."""
-        if self.lyapunov_stable:
-            return "stable (the Hessian is definite)"
-        words = {True: "linearly stable", False: "unstable", None: "stability not decided"}
-        return words[self.stable]
+        """Linear stability, in the words of :attr:`hamsym.PeriodicOrbit.stability`.
+
+        "elliptic" if all parts of ``type`` are centres, "hyperbolic" if they are saddles, "complex
+        unstable" if they are foci, else "mixed"; where the type is degenerate, "unstable" if an
+        eigenvalue has a positive real part, else "undecided".
+        """
+        known = "" if self.linear is None else self.type
+        kinds = [word for part, word in _WORDS.items() if part in known]
+        if kinds:
+            return kinds[0] if len(kinds) == 1 else "mixed"
+        return "unstable" if self.stable is False else "undecided"
 
     @property
     def spectrum(self) -> str:

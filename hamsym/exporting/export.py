@@ -119,7 +119,7 @@ def export(
         The file, replaced in one step.
     certificate : Certificate, optional
         A proof of the solution's error, by default ``solution.certificate``. It is compared with
-        the solution, and not proven again.
+        the solution, and not proven again. Lessons have none.
     allow_failed : bool
         Write a solution with ``success=False`` too; the file then says first that it failed. Not
         for lessons.
@@ -159,6 +159,8 @@ def export(
     """
     target, ending = _target(path)
     if ending == LESSON:
+        if certificate is not None:
+            raise InputError("a lesson computes its own motion and has no certificate; give none")
         _export_lesson(result, target, z0, span, parameters, title, text)
         return
     options = {

@@ -14,6 +14,7 @@ from hamsym.facts.wording import (
     error_text,
     formulas_of,
     given_of,
+    largest_share,
     seconds_text,
     silent,
     span_fact,
@@ -34,13 +35,13 @@ _THREE_DIGITS = Context(prec=3, rounding=ROUND_CEILING)
 
 def _certificate(certificate: Certificate) -> Facts:
     names, bounds, asked = certificate.components, certificate.component_bounds, certificate.asked
-    worst = max(range(len(names)), key=bounds.__getitem__)
-    headline = (
-        f"error at most {decimal(certificate.bound)} (2-norm); the largest of a component is "
-        f"that of {names[worst]}, at most {decimal(bounds[worst])}"
+    worst = (
+        int(np.argmax(bounds)) if asked is None else largest_share(*map(np.array, (bounds, asked)))
     )
+    headline = f"error of {names[worst]} at most {decimal(bounds[worst])}"
     if asked is not None:
         headline += f", where {decimal(asked[worst])} was asked"
+    headline += f"; of the state at most {decimal(certificate.bound)} (2-norm)"
     others = ("energy", "ell_max")
     rows = ["|z|", *names, "H", "ell_max"]
     lowers = [certificate.lower, *certificate.component_lowers]
@@ -128,7 +129,7 @@ def _orbit_certificate(certificate: OrbitCertificate) -> Facts:
         entries=(
             Table(
                 "components",
-                [f"{k + 1}" for k in range(len(balls))],
+                list(certificate.components),
                 (Column("start", balls, lambda ball: ball_text(*ball)),),
                 head="component",
             ),

@@ -15,6 +15,7 @@ from hamsym.facts.wording import (
     error_text,
     facts_of,
     formulas_of,
+    largest_share,
     problem_facts,
     span_fact,
     time_fact,
@@ -52,7 +53,7 @@ def solution_facts(solution: Solution, certificate: Certificate | None = None) -
         (
             _components(solution, certificate),
             lambda: _conserved(solution),
-            *([] if certificate is None else [_proof(certificate)]),
+            *([] if certificate is None else [_proof(solution, certificate)]),
             lambda: _bound(solution),
             *_cost(solution),
         ),
@@ -166,11 +167,15 @@ def _cost(solution: Solution) -> list[Fact]:
     ]  # fmt: skip
 
 
-def _proof(certificate: Certificate) -> Fact:
-    """What a certificate bounds, rounded outward."""
+def _proof(solution: Solution, certificate: Certificate) -> Fact:
+    """What a certificate bounds, rounded outward: the component that is nearest to its limit."""
     start, end = certificate.span
+    bounds = np.array(certificate.component_bounds)
+    worst = largest_share(bounds, solution.allowed_error)
+    name, H = solution.H.names[worst], solution.H
     text = (
-        f"the error is at most {decimal(certificate.bound)} (2-norm) and somewhere at least "
+        f"the error of {name} is at most {H.quantity(name, float(bounds[worst]), '.9g')}, that of "
+        f"the state at most {decimal(certificate.bound)} (2-norm) and somewhere at least "
         f"{decimal(certificate.lower)}, t from {start!r} to {end!r}"
     )
     return Fact("proven", "proven:", certificate.bound, text)

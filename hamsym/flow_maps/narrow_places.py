@@ -6,6 +6,10 @@ of bases of negative and fractional powers (:func:`hamsym.symbolic.derivatives.n
 Over the map such an argument is a smooth function of time and inputs. If its range is small, the
 random places see what its function does. Otherwise a search from many places finds its zeros and
 extrema, those first near which trajectories stay longest.
+
+The residual along one solution is bounded (:mod:`hamsym.bounds`). Over a box it is a function of
+time and inputs, which models of one variable do not bound: that takes the Taylor models of
+:meth:`hamsym.FlowMap.certify`, seconds to minutes for each map.
 """
 
 from __future__ import annotations

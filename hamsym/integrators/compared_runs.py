@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hamsym.integrators.coefficients import Scheme, Splitting
-from hamsym.integrators.hidden_features import Hidden, hidden_features
-from hamsym.integrators.narrow_features import narrow_features
+from hamsym.integrators.hidden_features import Hidden, Path, hidden_features
 from hamsym.integrators.richardson import Extrapolation, extrapolate, perturb
 from hamsym.integrators.stepper import Stepper
 from hamsym.integrators.table import INTEGRATORS
@@ -25,9 +24,9 @@ from hamsym.problems.ensemble import Ensemble
 #: Change of H in units of the change that the tolerance allows, at which a trajectory fails; errors
 #: of several components may add up.
 SLACK = 10.0
-#: Components of the states after every step, for the search of features: 64 MB.
-MAX_NARROW = 2**23
 
+# Components of the states after every step that are kept, 64 MB; more are computed again.
+_MOST_KEPT = 2**23
 # Fewest times at which the three runs are compared; one time may meet a zero of the difference.
 _SAMPLES = 5
 # Most saved states of the middle run between two of these times, for the sizes of the components.
@@ -37,8 +36,6 @@ _PERTURBED = 8
 # Rounding errors of a step in units of the last place: of implicit methods, which stop iterating
 # there, and of splitting methods without and with compensated summation.
 _ROUNDING = {"implicit": 4.0, "plain": 8.0, "compensated": 0.25}
-# Factor by which steps over a feature that was found between them are said to be too long.
-_HIDDEN = 16.0
 _EPS = float(np.finfo(float).eps)
 
 
@@ -77,8 +74,7 @@ class Round(NamedTuple):
     found: Extrapolation
     finite: np.ndarray
     changes: np.ndarray
-    narrow: np.ndarray
-    narrow_times: np.ndarray
+    hidden: Hidden
     rounding: np.ndarray
     evaluations: int
 
@@ -111,7 +107,7 @@ class ComparedRuns:
         self.sampled = saves * math.ceil(_SAMPLES / saves)
         #: The compared times at which states are returned.
         self.kept = slice(None, None, self.sampled // saves)
-        self.narrow, self._hidden = narrow_features(members.H), hidden_features(members.H)
+        self._hidden = hidden_features(members.H)
         self.system = members.H.compile("numpy")
         #: Whether each member is summed with compensation; equal for members of one comparison.
         self.compensated = np.full(len(members), compensated)
@@ -126,14 +122,10 @@ class ComparedRuns:
         It gives the sizes of the components. In the first round few states save time; they may all
         be at the same phase of a motion.
         """
-        if self.narrow is not None or self._is_searched(coarse):
+        if self._hidden is not None and 2 * coarse * self.members.H.dim <= _MOST_KEPT:
             return 2 * coarse
         more = 1 if self.is_first else math.gcd(2 * coarse // self.sampled, _MIDDLE_SAVES)
         return self.sampled * more
-
-    def _is_searched(self, coarse: int) -> bool:
-        """Whether features between the steps are looked for, which takes all states."""
-        return self._hidden is not None and 2 * coarse * self.members.H.dim <= MAX_NARROW
 
     def compare(self, rows: np.ndarray, coarse: int) -> Round:
         """Integrate members with three numbers of steps and compare the results."""
@@ -156,40 +148,47 @@ class ComparedRuns:
             self._rounding(rows),
             self.least[rows],
         )
-        narrow, narrow_times = np.zeros(len(rows)), np.zeros(len(rows))
-        if self.narrow is not None:
-            times = np.linspace(*self.span, dense.shape[1])
-            narrow, place = self.narrow.unresolved(
-                dense, times, self.members.own_parameters(rows), self.tol * found.sizes
-            )
-            narrow_times = times[place]
         states = found.states[:, self.kept]
         changes = self._energy_changes(rows, states, found.sizes, 4 * coarse)
-        good = (found.errors[:, -1] <= self.tol) & (changes <= 1) & (narrow <= 1) & finite
-        rounding = np.zeros(len(rows))
-        if good.any() and self._is_searched(coarse):
-            hidden = self._hidden_features(rows[good], dense[good], found.sizes[good])
-            passed_over = ~np.isnan(hidden.times)
-            narrow[good] = np.where(passed_over, _HIDDEN, narrow[good])
-            narrow_times[good] = np.where(passed_over, hidden.times, narrow_times[good])
-            # The runs may agree in what the round-off of the force changes in all of them. It grows
-            # as the perturbations do.
-            unit = self._rounding(rows) * math.sqrt(4 * coarse)
-            growth = np.maximum((found.round_off / _EPS - 4 * coarse) / unit, 1.0)
-            rounding[good] = (hidden.rounding / found.sizes[good]).max(axis=1) * growth[good]
-            found.add_round_off(rounding)
-        return Round(
-            *(rows, coarse, states, found, finite, changes, narrow, narrow_times, rounding),
-            evaluations,
-        )
+        agree = found.errors[:, -1] <= self.tol
+        # What is missed, or is round-off of the force in which the runs agree, grows as the
+        # perturbations do.
+        growth, unit = np.ones(len(rows)), self._rounding(rows) * math.sqrt(4 * coarse)
+        grown = (found.round_off / _EPS - 4 * coarse) / unit
+        growth[agree] = np.maximum(grown[agree], 1.0)
+        error = np.where(agree, found.errors[:, -1], 0.0)
+        with np.errstate(all="ignore"):
+            hidden = self._hidden_features(
+                *(rows, dense, 2 * coarse),
+                ((self.tol - error) / growth)[:, None] * found.sizes,
+                error[:, None] * found.sizes,
+            )
+            shares = np.where(hidden.rounding == 0, 0.0, hidden.rounding / found.sizes)
+        rounding = np.where(agree, shares.max(axis=1) * growth, 0.0)
+        found.add_round_off(rounding)
+        return Round(*(rows, coarse, states, found, finite, changes, hidden, rounding, evaluations))
 
-    def _hidden_features(self, rows: np.ndarray, path: np.ndarray, sizes: np.ndarray) -> Hidden:
-        """Search for features of the force between all states of members."""
-        assert self._hidden is not None
-        times = np.linspace(*self.span, path.shape[1])
-        allowed = self.tol * sizes
+    def _hidden_features(
+        self,
+        rows: np.ndarray,
+        path: np.ndarray,
+        steps: int,
+        allowed: np.ndarray,
+        errors: np.ndarray,
+    ) -> Hidden:
+        """Search for features of the force between the steps of members."""
+        if self._hidden is None:
+            nothing = np.zeros(len(rows))
+            return Hidden(nothing, nothing, nothing, np.zeros_like(errors))
+
+        def stepper(which: np.ndarray, states: np.ndarray, starts: np.ndarray) -> Stepper:
+            return self._stepper(rows[which], states, steps, starts)
+
         return self._hidden.search(
-            path, times, self.members.own_parameters(rows), lambda i: allowed[i]
+            Path(path, np.linspace(*self.span, path.shape[1]), steps, stepper),
+            self.members.own_parameters(rows),
+            lambda i: allowed[i],
+            errors,
         )
 
     def _rounding(self, rows: np.ndarray) -> float:
@@ -222,13 +221,15 @@ class ComparedRuns:
                 path[:, number // pieces] = states
         return path, count, stepper.evaluations
 
-    def _stepper(self, rows: np.ndarray, starts: np.ndarray, steps: int) -> Stepper:
+    def _stepper(
+        self, rows: np.ndarray, states: np.ndarray, steps: int, starts: np.ndarray | None = None
+    ) -> Stepper:
         start, end = self.span
         return Stepper(
             self.members.H,
             self._method,
-            starts,
-            np.full(len(rows), start),
+            states,
+            np.full(len(rows), start) if starts is None else starts,
             np.full(len(rows), (end - start) / steps),
             parameters=self.members.parameters[rows],
             compensated=bool(self.compensated[rows[0]]),  # equal in a block

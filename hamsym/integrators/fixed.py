@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import time
 import warnings
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -21,17 +20,14 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.adaptive import Adaptive
 from hamsym.integrators.automatic_steps import AIM, Choice, choose_steps
 from hamsym.integrators.energy_drift import COARSE, EnergyDrift
-from hamsym.integrators.hidden_features import hidden_features, passed_over
+from hamsym.integrators.hidden_features import Path, hidden_features, passed_over
 from hamsym.integrators.invariant_drift import invariant_drifts
-from hamsym.integrators.narrow_features import narrow_features
 from hamsym.integrators.stepper import INTERRUPTED, Run, Stepper, require_memory, run_steps
 from hamsym.integrators.table import INTEGRATORS
 from hamsym.integrators.trajectory import Trajectory
 from hamsym.problems.conservation import KnownInvariants
 from hamsym.problems.ensemble import Ensemble
 
-# Components of the states after every step that are held at once, 160 MB.
-_MAX_HELD = 20_000_000
 # Saved states of a trajectory at which the drift of H is computed; 20,000 steps and the start.
 _MAX_TESTED = 20_001
 
@@ -76,12 +72,6 @@ def integrate_fixed(
     if not (problem or warning or isinstance(scheme, Adaptive)):
         share = COARSE if choice is None else max(AIM, min(choice.found, COARSE))
         unseen = _between_steps(members, name, z, times, steps, share, options["omega"])
-    tested = choice is None and (save_every or 1) == 1 and not (problem or warning)
-    if tested and (pole := _pole(members, z, times)) is not None:
-        warning = (
-            f"the step near t = {pole:.6g} passes a pole of H, or the end of its domain, too fast; "
-            "take more steps"
-        )
     if warning and not problem:
         message = f"{message}: {warning}"
         warnings.warn(message, StepSizeWarning, stacklevel=4)
@@ -183,14 +173,6 @@ def _describe_accuracy(H: Hamiltonian, drift: float, choice: Choice | None) -> t
     )
 
 
-def _pole(members: Ensemble, z: np.ndarray, times: np.ndarray) -> float | None:
-    """Time of the first step too long beside a pole of H, from the states after every step."""
-    features = narrow_features(members.H)
-    if features is None or z.size > _MAX_HELD or z.shape[1] < 3:
-        return None
-    return features.pole(z, times, members.own_parameters())
-
-
 def _between_steps(
     members: Ensemble,
     name: str,
@@ -214,41 +196,13 @@ def _between_steps(
     def allowed(index: int) -> np.ndarray:
         return share * features.sizes(z[index], times, None if values is None else values[index])
 
-    for path, t in _every_step(members, name, z, times, steps, omega):
-        part = (len(t) - 1) / steps
-        found = features.search(path, t, values, allowed, part).times
-        if not np.isnan(found).all():
-            index = int(np.nanargmin(np.abs(found - times[0])))
-            which = f"trajectory {index}: " if members.shape else ""
-            return which + passed_over(found[index])
-    return ""
+    def stepper(rows: np.ndarray, states: np.ndarray, starts: np.ndarray) -> Stepper:
+        sizes = np.full(len(rows), (times[-1] - times[0]) / steps)
+        parameters = members.parameters[rows]
+        return Stepper(members.H, name, states, starts, sizes, parameters=parameters, omega=omega)
 
-
-def _every_step(
-    members: Ensemble, name: str, z: np.ndarray, times: np.ndarray, steps: int, omega: float | None
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield the states after every step and their times, in parts of the span.
-
-    Steps between saved states are repeated from each of them.
-    """
-    saves = len(times) - 1
-    every, size = steps // saves, (times[-1] - times[0]) / steps
-    together = max(1, _MAX_HELD // (every * members.states.size))
-    for first in range(0, saves, together):
-        last = min(first + together, saves)
-        t = times[0] + size * np.arange(first * every, last * every + 1)
-        if every == 1:
-            yield z[:, first : last + 1], t
-            continue
-        count, between = len(members), last - first
-        stepper = Stepper(
-            members.H,
-            name,
-            z[:, first:last].reshape(count * between, -1),
-            np.tile(times[first:last], count),
-            np.full(count * between, size),
-            omega=omega,
-            parameters=np.repeat(members.parameters, between, axis=0),
-        )
-        path = stepper.advance(every, show=False).path[:, :-1].reshape(count, between * every, -1)
-        yield np.concatenate((path, z[:, last : last + 1]), axis=1), t
+    found = features.search(Path(z, times, steps, stepper), values, allowed).times
+    if np.isnan(found).all():
+        return ""
+    index = int(np.nanargmin(np.abs(found - times[0])))
+    return (f"trajectory {index}: " if members.shape else "") + passed_over(found[index])

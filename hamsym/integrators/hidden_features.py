@@ -1,35 +1,52 @@
-"""Features of the force that the steps of a trajectory have passed over.
+"""Features of the force that the steps of a trajectory have passed over, or do not resolve.
 
 Runs with different steps agree if all of them step over the same pulse. Between the states after
 successive steps, a trajectory is a curve z^(t): in a window of some steps a polynomial through the
 states, with the slopes F there. The force along the curve is F(z^(t), t), and G^(t) is the
 polynomial through its values at fixed places. A feature that is as wide as a few steps is part of
-G^ and of the motion. What is narrower is part of F - G^, which arithmetic of models bounds on the
-whole window, wherever and however narrow the feature is (:mod:`hamsym.bounds`). The integral of
-|F - G^| is what the steps may have missed.
+G^ and of the motion. What is narrower, a pulse, a pole, a kink or a jump, is part of F - G^, which
+arithmetic of models bounds on the whole window, wherever and however narrow the feature is
+(:mod:`hamsym.bounds`). The integral of |F - G^| is what the steps may have missed. Where H jumps,
+the force has a delta distribution; a pole, which no model bounds, stands for it.
 
 Most windows need no bound, since no function in F varies over their steps
 (:mod:`hamsym.integrators.step_scales`). Of the others, long ones are bounded first, and divided
-where the bound is too large. The shortest are judged by branch and bound.
+where the bound is too large. The shortest are judged by branch and bound. A step in which abs, sign
+or a similar function switches may be wrong by the jump of the force times its whole length: that is
+what is compared with a tolerance, and what is allowed without one, as the steps see such a switch.
+A trajectory may also touch a switch, or pass beside it by less than its error: with a tolerance,
+curves that are shifted by the estimated error must pass the same switches.
 """
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+import sympy
 from numpy.polynomial import chebyshev
 
 from hamsym.bounds.models import DEGREE, NODES, PLACES
-from hamsym.bounds.residual import ExcessSearch, Parts, Places, bounds_on_parts, is_short_polynomial
+from hamsym.bounds.residual import (
+    MOST_SHARES,
+    ExcessSearch,
+    Parts,
+    Places,
+    bounds_on_parts,
+    is_short_polynomial,
+    largest_ratios,
+)
 from hamsym.codegen.programs import programs_of
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.step_scales import StepScales
+from hamsym.integrators.stepper import Stepper
 from hamsym.numerics.scales import resolved_sizes
+from hamsym.symbolic.derivatives import vanishes
+from hamsym.symbolic.equations import Equations
 
 _LENGTHS = (
     256,
@@ -39,11 +56,15 @@ _LENGTHS = (
 )  # of windows, in steps; a feature of the last length is no longer hidden
 _DEVIATION = 1e-4  # of the sizes, between states and the polynomial of a window longer than that
 _HELD = 2**20  # components of states that are tested at once
+_REPEATED = 20_000_000  # components of the states after repeated steps that are held at once
 _DISAGREEMENT = 0.1  # of the sizes, between the change in a window and the integral of the force
 _AT_ONCE = 256  # windows in one evaluation of models
 _SAMPLED = 256  # states from which sizes are computed
 _ROUND_OFF = 256 * 2.0**-52  # of the integral of |F - G^|, relative to the force
 _NOISE = 80.0  # times the change of F for one unit in the last place of states and times
+_LEAST = 4.0  # factor by which steps over a pulse that matters much are at least too long
+_NOTHING = math.nan, 0.0, 1.0  # time, excess and factor where there is no feature
+_SMALL = sympy.Float(2.0**-1000)  # of poles, so that they are no force
 
 _BASIS = chebyshev.chebvander(NODES, DEGREE)
 _MEAN = np.array([0.0 if k % 2 else 1 / (1 - k**2) for k in range(DEGREE + 1)])
@@ -53,53 +74,101 @@ _FIT = np.ascontiguousarray((_BASIS * np.array([1.0, *[2.0] * DEGREE]) / PLACES)
 class Hidden(NamedTuple):
     """What the steps of trajectories may not follow."""
 
-    #: Of the first feature that steps of each trajectory passed over, shape (n,), nan where there
-    #: is none.
+    #: Of the first feature that steps of each trajectory do not resolve, shape (n,), nan where
+    #: there is none.
     times: np.ndarray
+    #: What the steps may miss there, in units of what is allowed, 0 where there is none; and a
+    #: guess of the factor by which they are too long.
+    excess: np.ndarray
+    factor: np.ndarray
     #: What the round-off of the force may change in each component, shape (n, dim).
     rounding: np.ndarray
 
 
-class HiddenFeatures:
-    """The search for features that the steps of a trajectory passed over."""
+@dataclass(frozen=True)
+class Path:
+    """States of trajectories with equal steps: all of them, or some at equal distances."""
 
-    def __init__(self, H: Hamiltonian) -> None:
-        self.programs, self.scales = programs_of(H.real_equations), StepScales(H)
+    #: Shape (n, saves + 1, dim); nan after the end of a trajectory.
+    z: np.ndarray
+    #: Shape (saves + 1,).
+    t: np.ndarray
+    #: Of the whole trajectories, by default as many as there are intervals between the states.
+    steps: int = 0
+    #: (trajectories, their states and times) -> what repeats the steps from there.
+    stepper: Callable[[np.ndarray, np.ndarray, np.ndarray], Stepper] | None = None
+
+    def parts(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield the states after every step and their times, in parts of the span."""
+        saves, (count, _, dim) = len(self.t) - 1, self.z.shape
+        every = max(1, self.steps // saves)
+        if every == 1 or self.stepper is None:
+            yield self.z, self.t
+            return
+        size = (self.t[-1] - self.t[0]) / self.steps
+        together = max(1, _REPEATED // (every * count * dim))
+        for first in range(0, saves, together):
+            last = min(first + together, saves)
+            between = last - first
+            stepper = self.stepper(
+                np.repeat(np.arange(count), between),
+                self.z[:, first:last].reshape(count * between, dim),
+                np.tile(self.t[first:last], count),
+            )
+            path = stepper.advance(every, show=False).path[:, :-1].reshape(count, -1, dim)
+            t = self.t[0] + size * np.arange(first * every, last * every + 1)
+            yield np.concatenate((path, self.z[:, last : last + 1]), axis=1), t
+
+
+class HiddenFeatures:
+    """The search for features that the steps of a trajectory do not resolve."""
+
+    def __init__(self, H: Hamiltonian, form: Equations, has_jumps: bool) -> None:
+        self.programs, self.scales = programs_of(form), StepScales(form)
+        #: Whether the force or H jumps along a trajectory.
+        self.has_jumps = has_jumps
         self._system = H.compile("numpy")
         self.values = np.array([H.parameters[name] for name in H.parameter_names], dtype=float)
 
     def search(
         self,
-        z: np.ndarray,
-        t: np.ndarray,
+        path: Path,
         parameters: np.ndarray | None,
         allowed: Callable[[int], np.ndarray],
-        share: float = 1.0,
+        errors: np.ndarray | None = None,
     ) -> Hidden:
-        """Find for each trajectory the first feature that its steps passed over.
+        """Find for each trajectory the first feature that its steps do not resolve.
 
-        - z: States after successive steps, shape (n, steps + 1, dim); nan after the end of a
-          trajectory.
-        - t: Equally spaced, shape (steps + 1,).
         - parameters: Values of each trajectory, shape (n, k), by default those of H.
         - allowed: Number of a trajectory -> what all features together may change in each
           component.
-        - share: Of these times in those for which ``allowed`` is.
+        - errors: Estimated errors of the states, shape (n, dim); by default the steps may be wrong
+          by a jump of the force where they see a switch.
         """
-        found = Hidden(np.full(len(z), np.nan), np.zeros((len(z), z.shape[2])))
-        together = max(1, _HELD // z[0].size)
-        for first in range(0, len(z), together):
-            some = slice(first, first + together)
-            own = None if parameters is None else parameters[some]
-            with np.errstate(all="ignore"):
-                for index in first + np.flatnonzero(self._is_doubtful(z[some], t, own)):
-                    count = int(np.isfinite(z[index]).all(axis=1).sum())
-                    if count >= 2:
-                        one = None if parameters is None else parameters[index]
-                        limits = allowed(int(index))
-                        search = _Search(self, z[index, :count], t[:count], one, limits, share)
-                        found.times[index] = search.run()
-                        found.rounding[index] = np.sqrt(search.rounding)
+        count, _, dim = path.z.shape
+        nothing = np.zeros((2, count))
+        found = Hidden(np.full(count, np.nan), nothing[0], nothing[1], np.zeros((count, dim)))
+        steps = path.steps or len(path.t) - 1
+        for z, t in path.parts():
+            share = (len(t) - 1) / steps
+            together = max(1, _HELD // z[0].size)
+            for first in range(0, count, together):
+                some = slice(first, first + together)
+                own = None if parameters is None else parameters[some]
+                with np.errstate(all="ignore"):
+                    doubtful = self._is_doubtful(z[some], t, own)
+                    doubtful |= self.has_jumps and errors is not None
+                    for i in (first + np.flatnonzero(doubtful)).tolist():
+                        end = int(np.isfinite(z[i]).all(axis=1).sum())
+                        if end < 2 or found.excess[i]:
+                            continue
+                        one = None if parameters is None else parameters[i]
+                        shift = None if errors is None else errors[i]
+                        search = _Search(
+                            *(self, z[i, :end], t[:end], one, share * allowed(i), shift)
+                        )
+                        found.times[i], found.excess[i], found.factor[i] = search.run()
+                        found.rounding[i] = np.sqrt(found.rounding[i] ** 2 + search.rounding)
         return found
 
     def _is_doubtful(
@@ -129,15 +198,42 @@ class HiddenFeatures:
 @functools.lru_cache(maxsize=64)
 def hidden_features(H: Hamiltonian) -> HiddenFeatures | None:
     """Make the search for a Hamiltonian; None if its force can hide nothing."""
-    return None if is_short_polynomial(H.real_equations) else HiddenFeatures(H)
+    form = H.real_equations
+    jumps = [
+        (switch, [jump for jump in jumps if not _is_zero_at(jump, switch, form.z)], jumps[-1])
+        for switch, jumps in form.switches(form.z)
+    ]
+    form = _with_poles(form, [last / switch for switch, own, last in jumps if last in own])
+    has_jumps = any(own for _, own, _ in jumps)
+    return None if is_short_polynomial(form) else HiddenFeatures(H, form, has_jumps)
 
 
 def passed_over(time: float) -> str:
     """Describe a feature that steps passed over."""
     return (
-        f"near t = {time:.6g} the force has a feature, for example a pulse, that the steps pass "
-        "over; take smaller steps, or integrate with tol"
+        f"near t = {time:.6g} the force has a feature, for example a pulse or a pole, that the "
+        "steps pass over; take smaller steps, or integrate with tol"
     )
+
+
+def _with_poles(form: Equations, poles: Sequence[sympy.Expr]) -> Equations:
+    """Add poles to the force, too small to act."""
+    if not poles:
+        return form
+    first, *others = form.forces or [sympy.Integer(0)] * form.dof
+    values = {name: value for name, (_, value) in form.parameters.items()}
+    forces = [first + _SMALL * sympy.Add(*poles), *others]
+    return Equations(form.expr, form.z, form.time, values, forces)
+
+
+def _is_zero_at(jump: sympy.Expr, switch: sympy.Expr, z: Sequence[sympy.Symbol]) -> bool:
+    """Whether a jump is known to be zero where its switch is, as that of x*sign(x)."""
+    for symbol in z:
+        slope = switch.diff(symbol)
+        if slope != 0 and not slope.has(symbol):
+            root = -switch.xreplace({symbol: sympy.Integer(0)}) / slope
+            return vanishes(jump.xreplace({symbol: root}))
+    return vanishes(jump)
 
 
 def _blocks(steps: int) -> tuple[np.ndarray, list[int]]:
@@ -204,27 +300,57 @@ class _Search:
         t: np.ndarray,
         parameters: np.ndarray | None,
         allowed: np.ndarray,
-        share: float,
+        errors: np.ndarray | None,
     ) -> None:
-        self._features, self._z, self._t, self._own = features, z, t, parameters
-        self._allowed = allowed
-        self._rate = allowed * share / abs(t[-1] - t[0])
+        self._features, self._scales = features, features.scales
+        self._z, self._t, self._own = z, t, parameters
+        self._largest = np.abs(z).max(axis=0)
+        self._allowed, self._errors = allowed, errors
+        self._shift = np.zeros_like(allowed)
+        #: Half of it is for windows that pass as a whole.
+        self._rate = allowed / abs(t[-1] - t[0]) / 2
         self._steps = len(t) - 1
         self._given = features.values if parameters is None else parameters
         #: Squares of what the round-off of the force changes, summed over windows, in which its
         #: errors may be equal, while those of different windows are independent.
         self.rounding = np.zeros(z.shape[1])
 
-    def run(self) -> float:
-        """Return the time of the first feature, or nan."""
+    def run(self) -> tuple[float, float, float]:
+        """Return time, excess and factor of the first feature."""
+        own = None if self._own is None else self._own[None]
+        shifts = self._shifts()
+        passed = [self._scales.switched(self._z[None] + s, self._t, own)[0] for s in shifts]
+        for others in passed[1:]:
+            unequal = others.sum(axis=0) != passed[0].sum(axis=0)
+            if unequal.any():
+                differ = (others != passed[0])[:, unequal].any(axis=1)
+                return float(self._t[np.argmax(differ)]), math.inf, _LEAST
+        found = _NOTHING
+        for self._shift, switched in zip(shifts, passed, strict=True):
+            if math.isnan(found[0]):
+                self._switched = switched.any(axis=1)
+                found = self._found()
+        return found
+
+    def _shifts(self) -> np.ndarray:
+        """Return what curves are shifted by, nothing first, shape (shifts, dim)."""
+        none = np.zeros((1, len(self._allowed)))
+        if self._errors is None or not self._features.has_jumps or not self._errors.any():
+            return none
+        signs = np.ones((4, none.size))
+        signs[2:, ::2] = -1.0
+        signs[1::2] *= -1.0
+        return np.concatenate((none, signs * self._errors))
+
+    def _found(self) -> tuple[float, float, float]:
+        """Search along the trajectory with its present shift."""
         blocks, lengths = _blocks(self._steps)
         self._shortest = shortest = lengths[-1]
         own = None if self._own is None else self._own[None]
-        scales, path = self._features.scales, (self._z[None], self._t, own, blocks)
-        doubtful = ~scales.resolved(*path)[0] & ~scales.switched(*path)[0]
-        blocks = blocks[doubtful, 0]
+        path = self._z[None] + self._shift, self._t, own
+        blocks = blocks[~self._scales.resolved(*path, blocks)[0], 0]
         if not len(blocks):
-            return math.nan
+            return _NOTHING
         self._slopes = self._features.rates(self._z, self._t, self._own)
         for length in lengths:
             own = np.minimum(blocks // length * length, self._steps - length)
@@ -235,7 +361,7 @@ class _Search:
                 for first in range(0, len(starts), _AT_ONCE)
             ]
             blocks = blocks[~np.concatenate([np.empty(0, dtype=bool), *passed])[which]]
-        return self._judged(blocks) if len(blocks) else math.nan
+        return self._judged(blocks) if len(blocks) else _NOTHING
 
     def _passed(self, starts: np.ndarray, length: int) -> np.ndarray:
         """Whether nothing can be hidden in windows of equal numbers of steps."""
@@ -247,17 +373,20 @@ class _Search:
         passed = (bounds <= self._rate + _ROUND_OFF * np.abs(at.rates).max(axis=1)).all(axis=1)
         if length > self._shortest:
             passed &= self._is_fitted(windows.curve, starts, length)
-            rounding = rounding[passed]
-        span = abs(float(self._t[length] - self._t[0]))
-        self.rounding += np.square(rounding * span).sum(axis=0)
+        self._count(rounding[passed] * abs(float(self._t[length] - self._t[0])))
         return np.asarray(passed)
+
+    def _count(self, rounding: np.ndarray) -> None:
+        """Count the round-off in windows once, shape (windows, dim)."""
+        if not self._shift.any():
+            self.rounding += np.square(rounding).sum(axis=0)
 
     def _is_fitted(self, curve: np.ndarray, starts: np.ndarray, length: int) -> np.ndarray:
         """Whether the polynomials of windows pass close to all states in them."""
         basis = chebyshev.chebvander(np.linspace(-1, 1, length + 1), DEGREE)
         states = self._z[starts[:, None] + np.arange(length + 1)]
-        distances = np.abs(basis @ curve - states).max(axis=1)
-        return np.asarray((distances <= _DEVIATION * np.abs(self._z).max(axis=0)).all(axis=1))
+        distances = np.abs(basis @ curve - self._shift - states).max(axis=1)
+        return np.asarray((distances <= _DEVIATION * self._largest).all(axis=1))
 
     def _windows(self, starts: np.ndarray, length: int) -> _Windows:
         """Fit curve and force in windows."""
@@ -266,33 +395,54 @@ class _Search:
         half = (edges[1] - edges[0])[:, None, None] / 2
         data = np.concatenate((self._z[index], half * self._slopes[index]), axis=1)
         curve = _hermite_fit(length) @ data
+        curve[:, 0] += self._shift
         windows = _Windows(np.stack(edges), curve, np.zeros_like(curve))
         at = windows.whole()
         force = self._features.rates(at.z.reshape(-1, data.shape[2]), at.t.ravel(), self._own)
         return replace(windows, force=_FIT @ force.reshape(at.z.shape))
 
-    def _judged(self, starts: np.ndarray) -> float:
+    def _judged(self, starts: np.ndarray) -> tuple[float, float, float]:
         """Judge the shortest windows, which share what is allowed."""
-        windows = self._windows(starts, self._shortest)
-        whole, lengths = windows.whole(), np.abs(np.diff(windows.edges, axis=0)).T
-        limits = self._allowed / len(starts)
-        limits = limits + _ROUND_OFF * lengths * np.abs(whole.rates).max(axis=1)
+        windows, shortest = self._windows(starts, self._shortest), self._shortest
+        steps = starts[:, None] + np.arange(shortest)
+        switched, changes = self._switched[steps], np.abs(np.diff(self._slopes, axis=0))
+        at_switch = switched.any(axis=1) & (self._errors is not None)
+        # A part of the rest may use as many shares, a residual that counts everywhere only one.
+        shares = len(starts) * np.where(at_switch, 2.0, 2.0 * MOST_SHARES)
+        lengths = np.abs(np.diff(windows.edges, axis=0)).T
+        limits = self._allowed / shares[:, None]
+        limits += _ROUND_OFF * lengths * np.abs(windows.whole().rates).max(axis=1)
+        if self._errors is None:
+            limits += lengths / shortest * (switched[..., None] * changes[steps]).sum(axis=1)
 
         def rates(z: np.ndarray, t: np.ndarray, _window: np.ndarray) -> np.ndarray:
             return self._features.rates(z, t, self._own)
 
+        rounding = np.zeros_like(limits)
         found = ExcessSearch(
             *(self._features.programs, rates, windows.at, windows.edges, limits, self._given),
-            *(_NOISE, True),
+            *(_NOISE, True, at_switch, rounding),
         ).run()
+        self._count(rounding)
         if found:
-            return found[0].time
+            first = found[0]
+            excess = first.ratio / MOST_SHARES
+            if not (at_switch[first.window] and first.ratio < math.inf):
+                return first.time, excess, min(_LEAST, excess) / first.width
+            # The error at a kink is of the second order, at a jump of the first.
+            beside = np.pad(changes, ((1, 1), (0, 0)))
+            jumps = np.maximum(changes - 2 * np.maximum(beside[:-2], beside[2:]), 0.0)
+            error = np.abs(self._t[1] - self._t[0]) * jumps[steps[first.window]].max(axis=0)
+            factor = float(largest_ratios(error, limits[first.window]))
+            return first.time, excess, max(math.sqrt(excess), factor)
         missed = self._disagreeing(windows, starts)
-        return float(windows.edges[:, np.argmax(missed)].mean()) if missed.any() else math.nan
+        if not missed.any():
+            return _NOTHING
+        return float(windows.edges[:, np.argmax(missed)].mean()), math.inf, _LEAST
 
     def _disagreeing(self, windows: _Windows, starts: np.ndarray) -> np.ndarray:
         """Whether the steps through windows do not follow the force, since one has met a pulse."""
         moved = self._z[starts + self._shortest] - self._z[starts]
         impulse = np.diff(windows.edges, axis=0)[0][:, None] * (_MEAN @ windows.force)
-        largest = np.abs(self._z).max(axis=0)
-        return np.asarray(~(np.abs(moved - impulse) <= _DISAGREEMENT * largest).all(axis=1))
+        agree = np.abs(moved - impulse) <= _DISAGREEMENT * self._largest
+        return np.asarray(~agree.all(axis=1))

@@ -55,8 +55,8 @@ def integrate(
     With ``tol`` the steps of each trajectory are chosen so that its estimated error is at most
     ``tol``, from the differences of runs with n, 2n and 4n steps, which are extrapolated
     (:mod:`hamsym.integrators.to_tolerance`). A trajectory succeeds if the estimate, with round-off,
-    is within the tolerance, H changes by no more than that allows, and the force has no pulse, pole
-    or jump on the way that the steps do not resolve.
+    is within the tolerance, H changes by no more than that allows, and the force has no pulse,
+    pole, kink or jump on the way that the steps do not resolve.
 
     Without ``method``, ``steps`` and ``dt`` the number of steps is the smallest power of two times
     1,000 for which every trajectory conserves H to 1e-9 of the energy that it exchanges between
@@ -69,8 +69,9 @@ def integrate(
 
     Between the steps of a method with fixed steps the force is bounded
     (:mod:`hamsym.integrators.hidden_features`). There is no success if it may have a feature that
-    the steps pass over, for example a short pulse, and that changes the motion by more than 1 %,
-    or, where steps were chosen, by more than the drift that was reached.
+    the steps pass over, for example a short pulse or a pole, and that changes the motion by more
+    than 1 %, or, where steps were chosen, by more than the drift that was reached. With ``tol`` the
+    limit is the tolerance. What rounding hides is not found.
 
     Parameters
     ----------

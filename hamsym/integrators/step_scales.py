@@ -2,7 +2,7 @@
 
 Where the argument of every function in F changes little over some steps, F has no feature that is
 narrower than these steps: a polynomial of low degree, composed with such functions, is resolved by
-the states alone.
+the states alone. Nor has it much round-off of its own, unless the terms of an argument cancel.
 """
 
 from __future__ import annotations
@@ -17,10 +17,12 @@ import sympy
 from hamsym.codegen.functions import compile_expressions
 from hamsym.codegen.names import Names
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.symbolic.equations import Equations
 
 _HIGHEST = 6  # power that a few steps resolve
 _STEEPEST = 24  # negative or fractional power of a base that changes by the largest ratio
 _LARGEST_RATIO = 2.0  # of an argument over a few steps, of functions of RATIO
+_CANCELLED = 1e4  # largest sum of the magnitudes of terms of an argument
 
 
 class Scale(enum.Enum):
@@ -45,13 +47,14 @@ _SCALES = {
 class StepScales:
     """Tests of blocks of steps."""
 
-    def __init__(self, H: Hamiltonian) -> None:
-        equations = H.real_equations
+    def __init__(self, equations: Equations) -> None:
         self._identifiers = [name for name, _ in Names(equations).parameters]
         variables = [*equations.z, *([] if equations.time is None else [equations.time])]
         found = _arguments(equations.vector_field, variables)
         self._scales = None if found is None else [scale for _, scale in found]
         self._arguments = compile_expressions([g for g, _ in found or []], equations)
+        terms = [_magnitude(g) for g, _ in found or [] if _cancels(g)]
+        self._terms = compile_expressions(terms, equations) if terms else None
         switches = [switch for switch, _ in equations.switches(variables)]
         self._switches = compile_expressions(switches, equations) if switches else None
 
@@ -77,20 +80,21 @@ class StepScales:
                 found &= high * low > 0
             else:
                 found &= high - low <= scale.value
+        if self._terms is not None:
+            some = z[:, blocks[:, 0]], t[blocks[:, 0]]
+            terms = on_trajectories(self._terms, self._identifiers, *some, parameters)
+            found &= (terms <= _CANCELLED).all(axis=2)
         return found
 
-    def switched(
-        self, z: np.ndarray, t: np.ndarray, parameters: np.ndarray | None, blocks: np.ndarray
-    ) -> np.ndarray:
-        """Whether an argument of abs, sign or similar has both signs among the states of a block.
+    def switched(self, z: np.ndarray, t: np.ndarray, parameters: np.ndarray | None) -> np.ndarray:
+        """Whether each argument of abs, sign or similar changes its sign in each step.
 
-        The parameters are those of :meth:`resolved`. Steps see such a change.
+        The parameters are those of :meth:`resolved`; shape (n, steps, arguments).
         """
         if self._switches is None:
-            return np.zeros((len(z), len(blocks)), dtype=bool)
-        values = on_trajectories(self._switches, self._identifiers, z, t, parameters)
-        signs = np.sign(values[:, blocks])
-        return np.asarray((signs.max(axis=2) != signs.min(axis=2)).any(axis=2))
+            return np.zeros((len(z), len(t) - 1, 0), dtype=bool)
+        signs = np.sign(on_trajectories(self._switches, self._identifiers, z, t, parameters))
+        return np.asarray(signs[:, 1:] != signs[:, :-1])
 
 
 def on_trajectories(
@@ -134,6 +138,19 @@ def _arguments(
                 return None
             found[part.args[0], scale] = None
     return sorted(found, key=str)
+
+
+def _cancels(argument: sympy.Expr) -> bool:
+    """Whether terms of an argument may have different signs."""
+    sums = argument.atoms(sympy.Add)
+    return any(not all(term.is_nonnegative for term in part.args) for part in sums)
+
+
+def _magnitude(argument: sympy.Expr) -> sympy.Expr:
+    """Sum of the magnitudes of the terms of an argument."""
+    if argument.is_Add or argument.is_Mul:
+        return argument.func(*(_magnitude(part) for part in argument.args))
+    return sympy.Abs(argument)
 
 
 # -- linear motion ---------------------------------------------------------------------------------

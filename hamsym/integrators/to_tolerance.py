@@ -10,9 +10,8 @@ fastest linear motion at the start. Where the estimated error exceeds the tolera
 follows from the estimate and the order. Trajectories with equal n are integrated together.
 
 Three runs can agree on what all of them miss. A trajectory therefore succeeds only if, in addition,
-H is conserved as far as the tolerance requires, no feature at the places that the formula names is
-narrower than the steps (:mod:`hamsym.integrators.narrow_features`), and the force has no other
-feature between them (:mod:`hamsym.integrators.hidden_features`). What the round-off of the force
+H is conserved as far as the tolerance requires, and the force has no feature that the steps do not
+resolve (:mod:`hamsym.integrators.hidden_features`). What the round-off of the force
 may change at its narrow features, where the runs can agree in it, is part of the error. Everything
 that is decided about a trajectory depends on that trajectory alone, so that a member that fails
 changes no bit of the others.
@@ -27,7 +26,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hamsym.integrators.coefficients import Splitting
-from hamsym.integrators.compared_runs import MAX_NARROW, SLACK, ComparedRuns, Round, Tolerated
+from hamsym.integrators.compared_runs import SLACK, ComparedRuns, Round, Tolerated
 from hamsym.integrators.invariant_drift import invariant_drifts
 from hamsym.integrators.step_scales import fastest_rates
 from hamsym.integrators.stepper import INTERRUPTED, require_memory
@@ -48,11 +47,15 @@ _AIM = 0.5
 _LIMITED = 0.2
 # Largest factor between two numbers of steps: estimates that are far off say little.
 _MAX_GROWTH = 4.0
+# The same where the steps do not resolve a feature and the runs disagree.
+_MAX_SHORTENED = 1e3
 # Rounds without halving the error, with round-off above the tolerance in spite of compensated
 # summation, and with a run that is not finite, after which the search ends.
 _MAX_STALLED, _MAX_LIMITED, _MAX_LOST = 3, 4, 5
 # Component updates of one trajectory in one run, minutes.
 _MAX_UPDATES = 1e9
+# Components of the states after each of the steps that may be taken to resolve a feature, seconds.
+_MAX_RESOLVING = 2**24
 # Components of the states of a run that are processed together, within a processor's cache.
 _BLOCK = 2**16
 
@@ -118,12 +121,11 @@ class ToleranceSearch:
         count, dim = members.states.shape
         #: Largest number of steps of the finest run of a member.
         self._most = _MAX_UPDATES / (runs.scheme.stages * dim)
-        if runs.narrow is not None:
-            self._most = min(self._most, 2 * MAX_NARROW / dim)
+        self._most_resolving = _MAX_RESOLVING / dim
         self._coarse = np.zeros(count, dtype=np.int64)
         self._best, self._stalled = np.full(count, np.inf), np.zeros(count, dtype=np.int64)
         self._lost, self._limited = np.zeros((2, count), dtype=np.int64)
-        self._unresolved, self._coupled = np.zeros((2, count), dtype=bool)
+        self._unresolved, self._featured, self._coupled = np.zeros((3, count), dtype=bool)
         self._found = Tolerated(
             np.full((count, 1 + saves, dim), np.nan),
             np.full((count, 1 + saves, dim), np.inf),
@@ -232,7 +234,8 @@ class ToleranceSearch:
         found, tol, rows = self._found, self._tol, result.members
         relative, sizes = result.found.errors[:, self._runs.kept], result.found.sizes
         worst = relative[:, -1]
-        good = (worst <= tol) & (result.changes <= 1) & (result.narrow <= 1) & result.finite
+        excess = result.hidden.excess
+        good = (worst <= tol) & (result.changes <= 1) & (excess <= 1) & result.finite
         found.z[rows] = result.states
         with np.errstate(all="ignore"):
             errors = relative[..., None] * sizes[:, None]
@@ -245,33 +248,38 @@ class ToleranceSearch:
             return rows[:0]
         again = rows[bad]
         self._lost[again] += ~result.finite[bad]
-        narrow, changes = result.narrow[bad], result.changes[bad]
-        narrow = np.where(np.isnan(narrow), np.inf, narrow)
+        narrow, changes = excess[bad] > 1, result.changes[bad]
         # Until its features are resolved, the differences of the runs mean nothing.
-        excess = np.where(narrow > 1, narrow, np.maximum(worst[bad] / tol, changes))
+        excess = np.where(narrow, excess[bad], np.maximum(worst[bad] / tol, changes))
         better = excess < self._best[again] / 2
-        better |= (narrow <= 1) & self._unresolved[again]
+        better |= ~narrow & self._unresolved[again]
         self._best[again] = np.where(better, excess, self._best[again])
-        self._unresolved[again] = narrow > 1
+        self._unresolved[again] = narrow
+        self._featured[again] |= narrow
         finite = result.finite[bad]
         round_off = result.found.round_off[bad]
-        limited = (round_off > _LIMITED * tol) & ~self._runs.compensated[again] & (narrow <= 1)
+        limited = (round_off > _LIMITED * tol) & ~self._runs.compensated[again] & ~narrow
         limited &= isinstance(self._runs.scheme, Splitting) & self._members.H.is_separable
         self._runs.compensated[again] |= limited
         better |= limited
         self._limited[again] += (round_off > tol) & ~limited
-        self._stalled[again] = np.where(better | ~finite, 0, self._stalled[again] + 1)
+        # Beside a pole the excess varies: rounds that did not help count until it is resolved.
+        count = np.where(narrow & finite, self._stalled[again], 0)
+        self._stalled[again] = np.where(better | ~finite, count, self._stalled[again] + 1)
         for position in bad[~self._coupled[again] & finite & (self._stalled[again] > 0)]:
             self._widen(int(rows[position]), result, position)
         with np.errstate(all="ignore"):
             factor = ((worst[bad] - round_off) / (_AIM * tol)) ** (1 / self._runs.next_order)
         least = np.where(limited, 1.0, 1.2)
         factor = np.clip(np.nan_to_num(factor, nan=3.0, posinf=3.0), least, _MAX_GROWTH)
-        wanted = np.where(narrow > 1, np.clip(1.5 * np.sqrt(narrow), 1.5, 1e3), factor)
+        # Runs that disagree say little about where the trajectory passes.
+        largest = np.where(worst[bad] <= tol, np.inf, _MAX_SHORTENED)
+        wanted = np.where(narrow, np.clip(1.5 * result.hidden.factor[bad], 1.5, largest), factor)
         wanted *= result.coarse
+        most = np.where(self._featured[again], min(self._most, self._most_resolving), self._most)
         stop = (self._stalled[again] >= _MAX_STALLED) | (self._lost[again] >= _MAX_LOST)
         stop |= ~(result.rounding[bad] <= tol)  # which no number of steps reduces
-        stop |= (4 * wanted > self._most) | (self._limited[again] >= _MAX_LIMITED)
+        stop |= (4 * wanted > most) | (self._limited[again] >= _MAX_LIMITED)
         coarse = self._rounded(np.minimum(wanted, self._most), 2)
         for position in bad[stop].tolist():
             found.problems[int(rows[position])] = self._problem(result, position)
@@ -304,10 +312,10 @@ class ToleranceSearch:
                 f"stopped after t = {last:.6g}: the state is no longer finite, or a step could not "
                 "be solved"
             )
-        if not result.narrow[position] <= 1:
+        if not result.hidden.excess[position] <= 1 and result.rounding[position] <= self._tol:
             return (
                 f"H has a pole, a jump or a feature narrower than a step near t = "
-                f"{result.narrow_times[position]:.6g}; end the span before it"
+                f"{result.hidden.times[position]:.6g}; end the span before it"
             )
         if worst <= self._tol:
             return (

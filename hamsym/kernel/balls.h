@@ -2,25 +2,13 @@
 
    A ball is (high, low, radius) and means the set of all x with |x - (high + low)| <= radius.
 
-   Rounding. u = 2^-53; every operation rounds to nearest, no rounding mode is changed. Numbers in capitals are those
-   of examples/guide/how_proofs_work.md, which proves each.
+   u = 2^-53; every operation rounds to nearest, no rounding mode is changed. Lemmas 1 to 8 of
+   examples/guide/how_proofs_work.md prove the bounds and the constants. Infinity and NaN remain what they are and pass
+   no test r <= bound.
 
-   1. two_sum and two_product return a rounded result and its exact error (Knuth 1998, section 4.2.2, theorem B;
-      Boldo & Muller 2011, section 2), apart from underflow, which is below SMALL.
-   2. With |l| <= 3u |h| for the arguments, the errors of sums and products of mid-points are below
-      MIDDLE (|a| + |b|) and MIDDLE |ab|; Joldes, Muller & Popescu 2017 (theorems 3.1 and 5.1) have the sharp
-      constants.
-   3. A radius is a sum of products of numbers >= 0 with at most 16 roundings, each a factor in [1 - u, 1 + u], so that
-      (1 + OUTWARD) times the computed number, plus SMALL, is an upper bound. Infinity and NaN remain what they are and
-      pass no test r <= bound.
-   4. Products that underflow are wrong by at most 2^-1075 each, so that UNDERFLOW bounds the error of thousands.
-      It is added to factors of other products, which SMALL would make too large: they may multiply a component in
-      a unit of 10^200.
-
-   Functions. exp, sin and cos reduce their arguments with constants that are balls, and sum a Taylor series whose
-   remainder is added to the radius; nothing is assumed about elementary functions of float64. log, atan and asin
-   begin with such a value y, an arbitrary number, and enclose the difference by addition theorems:
-   log(x) = y + log(x exp(-y)), and so on. An angle y of more than 2 is refused, because the theorems tell angles
+   exp, sin and cos reduce their arguments with constants that are balls, and sum a Taylor series; nothing is assumed
+   about elementary functions of float64. log, atan and asin begin with such a value y, an arbitrary number, and
+   enclose the difference by addition theorems. An angle y of more than 2 is refused, because the theorems tell angles
    only up to 2 pi. What has no value is a ball of infinite radius. */
 
 #ifndef HAMSYM_BALLS_H

@@ -1,7 +1,8 @@
 """Balls, series and windows of proofs in the library, as functions of arrays.
 
-A ball is a triple (high, low, radius) of numbers, or a row of an array. What the functions compute,
-and why their bounds hold, is in ``balls.h``, ``series.h``, ``enclosures.h`` and ``sets.c``.
+A ball is a triple (high, low, radius) of numbers, or a row of an array. What the functions compute
+is in ``balls.h``, ``series.h``, ``enclosures.h`` and ``sets.c``, and why their bounds hold, in the
+lemmas of examples/guide/how_proofs_work.md.
 """
 
 from __future__ import annotations

@@ -77,7 +77,7 @@ def typed(found: ctypes.CDLL, name: str, signature: str) -> Any:
 def address(array: np.ndarray) -> int:
     """Return where the numbers of an array are, in a quarter of the time of ``array.ctypes``."""
     try:
-        return ctypes.addressof(ctypes.c_char.from_buffer(array))
+        return ctypes.addressof(ctypes.c_char.from_buffer(array))  # type: ignore[arg-type]
     except (TypeError, ValueError, BufferError):  # it is read only, empty, or has gaps
         return int(array.ctypes.data)
 

@@ -161,8 +161,9 @@ static int iterate(marching *m, const equations *H, const tables *t, const setti
   /* The series of the last window is continued into this one. */
   for (long c = 0; c < n; c++) m->late[c] = 1.0 + 2.0 * longer * t->node[c];
   chebyshev_rows(m->late, t->terms, n, m->basis);
-  products(m->basis, t->terms, n, p->tail, dim, p->found);
-  advance(t->integration, n, p->found, dim, m->base, h, m->nearby, m->changes);
+  long guessed = H->linear ? half : dim; /* coordinates alone, where momenta are left out */
+  products(m->basis, t->terms, n, p->tail, guessed, p->found);
+  advance(t->integration, n, p->found, guessed, m->base, h, m->nearby, m->changes);
   measure(m, s, p, z, dim, n);
   if (H->linear) {
     run(&m->velocity, m->base, m->times, n, m->disturbed);

@@ -4,33 +4,10 @@
    |f(x) - P(x)| <= R for all x in [-1, 1]. Models are rows of arrays. Those that are not `twice` float64 have
    l_k = 0. ||P|| means sum_k |h_k| + |l_k|, which bounds |P|.
 
-   Products. T_i T_j = (T_i+j + T_|i-j|)/2. The terms of the first factor are taken from the last to the first, so
-   that small numbers are added first. With S_i = sum_{m>=i} |a_m| ||b||, the partial sums of all coefficients have a
-   size of at most S_i after term i, and each coefficient takes at most three additions in each term. So the rounding
-   errors sum up to at most
-
-       PER_PRODUCT u ||a|| ||b|| + PER_SUM u sum_i S_i = u (2 ||a|| + 3 sum_i (i + 1) |a_i|) ||b||.
-
-   In twice float64 the sums of high parts are exact but for what goes to the low parts, whose size after term i is at
-   most 10u sum_{m>=i} S_m; its roundings, and products of low parts, which are left out, sum up to at most
-   PRODUCT_TWICE sum_i (i + 1)(i + 2)/2 |a_i| ||b||. A factor 1 + SECOND_ORDER covers terms of second order and the
-   roundings of the bounds themselves, sums of fewer than 2^30 numbers >= 0. Terms beyond the rows go to the radius.
-
-   Integral from -1: INTEGRAL ||c||, or INTEGRAL_TWICE ||c||, bounds its roundings: c_k = (c_k-1 - c_k+1)/(2k) takes
-   two, and the value at -1 sums k |c_k| <= (|c_k-1| + |c_k+1|)/2.
-
-   Functions. A polynomial q that interpolates the function at Chebyshev points is a guess. It is proven afterwards,
-   by a residual:
-
-   - 1/f: with |1 - f q| <= e < 1, |1/f - q| <= ||q|| e/(1 - e).
-   - 1/sqrt(f): with |1 - f q^2| <= e < 1, f > 0 and q has no zero; if q(1) > 0, then
-     |1/sqrt(f) - q| <= ||q|| ((1 - e)^-1/2 - 1) <= ||q|| e/(2 (1 - e)).
-   - g = exp(P): with s = q - q(-1) - integral(P' q) and d = g - q, v = d + s satisfies v' = P' (v - s), so
-     |d| <= |s| + E (|d(-1)| + 2 ||P'|| |s|), E = exp(max P - min P). The radius of f = P + r adds |exp(r) - 1| |g|.
-   - sin(P), cos(P): the same for the pair, whose equation is a rotation, so that E = 1.
-   - functions with f' = g(P) P', such as log, atan or asin: integral(g P') + f(P(-1)), and r |g|.
-
-   Angles that depend on time alone are taken modulo 2 pi, once for a window.
+   Lemmas 10 to 15 of examples/guide/how_proofs_work.md prove the bounds that functions here return. A polynomial q that
+   interpolates a function at Chebyshev points is a guess, which is proven by a residual afterwards: 1 - f q for a
+   reciprocal, 1 - f q^2 for a root, the differential equations of the others. Angles that depend on time alone are
+   taken modulo 2 pi, once for a window.
 
    (Brisebarre & Joldes 2010 introduced such models; Brehard, Brisebarre & Joldes 2018 validate solutions of linear
    equations like exp.) */

@@ -3,7 +3,7 @@
 #include "series.h"
 #include <stdlib.h>
 
-#define PER_SUM_OF_MATRICES 2          /* roundings of an entry beside one for each product */
+#define PER_ENTRY 2                    /* roundings of an entry beside one for each product */
 #define PER_LAYER (8 * UNIT * UNIT)    /* of a low part, for each pair of inputs */
 #define PER_READOUT (2 * UNIT * UNIT)  /* the same of exact factors */
 #define MORE 8                         /* inputs that stand for what is done once */
@@ -20,7 +20,7 @@ static void matrix_product(const double *a, const double *b, long n, long k, lon
         error[i * m + j] += fabs(x) * fabs(b[h * m + j]);
       }
     }
-  for (long place = 0; place < n * m; place++) error[place] = up((k + PER_SUM_OF_MATRICES) * UNIT * error[place]);
+  for (long place = 0; place < n * m; place++) error[place] = up((k + PER_ENTRY) * UNIT * error[place]);
 }
 
 /* J C rounded, n x columns, and bounds on the rest of (J +- J_error) C r with |r| <= r0, n x kinds; J is n x k. */
@@ -121,13 +121,9 @@ static void arrange(const double *own, const double *R, long n, long count, long
 
 /* Sets {G r} with |r| <= R, G n x count and R count x kinds, as P r' in as many columns as rows: P and R'.
 
-   Lemma. Let Q be any matrix and I - Q^T Q = F with |F| <= f < 1 (row sums). Then Q is regular and Q^-1 v is within
-   f/(1 - f) max |Q^T v| of Q^T v, component by component: Q^-1 = (Q^T Q)^-1 Q^T, and (I - F)^-1 - I has row sums of at
-   most f/(1 - f).
-
-   Q = U^-1 P is the orthogonal factor of the columns of U^-1 G ordered by the lengths of their parts of the set
-   (Lohner 1992), with units U = diag(u), powers of two, because lengths and angles mean nothing between components of
-   different dimensions. */
+   Lemma 22. Q = U^-1 P is the orthogonal factor of the columns of U^-1 G ordered by the lengths of their parts of the
+   set (Lohner 1992), with units U = diag(u), powers of two, because lengths and angles mean nothing between components
+   of different dimensions. */
 EXPORTED int64_t hamsym_boxed_set(const double *G, const double *R, const double *units, int64_t n, int64_t count,
                                   int64_t kinds, double *P, double *found) {
   double *own = calloc(3 * n * count + 4 * n * n + count + kinds, sizeof *own);

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
@@ -21,6 +20,8 @@ from hamsym.networks.window_training import late
 from hamsym.problems.problem import InitialValueProblem
 from hamsym.random_features.features import Features
 from hamsym.random_features.method import solve_by_features
+from hamsym.random_features.trial import FeatureTrial
+from hamsym.random_features.windows import March
 from hamsym.solution.acceptance import accepted
 from hamsym.solution.discontinuities import first_jump, unresolved
 from hamsym.solution.settings import Settings
@@ -146,13 +147,15 @@ def _trained(
     settings: ChainSettings,
     advance: Callable[[float], None],
 ) -> TrainedChain:
-    march: Any = guess.record
-    equal, edges = method.windows is not None, march.origin + march.edges
+    march, trial = guess.record, guess.trial
+    assert isinstance(march, March)
+    assert isinstance(trial, FeatureTrial)
+    equal, edges = method.windows is not None, trial.origin + march.edges
     if method.windows is not None:
         edges = np.linspace(edges[0], edges[-1], method.windows + 1)
     found = ChainRun(
         problem.H,
-        guess.trial,
+        trial,
         edges,
         Layout(method.hidden, method.activation, method.envelope, method.frequency),
         settings,

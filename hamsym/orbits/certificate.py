@@ -10,6 +10,7 @@ import numpy as np
 
 import hamsym
 from hamsym.errors import CertificationError, FileError, InputError
+from hamsym.formula.parser import check_name
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.orbits.arc import Arc, Problem
 from hamsym.orbits.proven_stability import WEAKER
@@ -59,10 +60,12 @@ class OrbitCertificate(SealedText):
     statement : str
     digest : str
         SHA-256 of the orbit: H, its parameters, the conditions, and the states of its arc.
+    components : tuple of str
+        Names of the components of ``z0``.
     """
 
     _KIND = "hamsym orbit certificate"
-    _VERSION = 2
+    _VERSION = 3
     _LONGEST = 2**22
     _OF = " of an orbit"
 
@@ -76,6 +79,7 @@ class OrbitCertificate(SealedText):
     seconds: Size
     statement: str = field(repr=False)
     digest: str = field(repr=False)
+    components: tuple[str, ...] = field(repr=False)
 
     def check(self) -> None:
         """Raise ValueError unless its balls are those of an orbit, and its stability is proven."""
@@ -85,6 +89,10 @@ class OrbitCertificate(SealedText):
             raise ValueError(
                 "its balls do not have the shapes of an orbit, or its period is not > 0"
             )
+        if len({*self.components}) != dim:
+            raise ValueError("its components do not have a name each")
+        for name in self.components:
+            check_name(name)
         if self.stability not in WEAKER:
             raise ValueError("its stability is none that a proof gives")
 
@@ -132,6 +140,7 @@ def verify_orbit(
         "unique_within": claims.unique_within <= found.unique_within,
         "stability": claims.stability in (found.stability, *WEAKER[found.stability]),
         "pieces": claims.pieces == found.pieces,
+        "components": claims.components == found.components,
     }
     for name, holds in proven.items():
         if not holds:

@@ -408,6 +408,7 @@ class _Proof:
             time.monotonic() - self._began,
             statement,
             orbit_digest(orbit),
+            orbit.H.names,
         )
 
 

@@ -6,6 +6,7 @@ Python's own, exactly, and what it refuses becomes a CertificationError.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -46,7 +47,7 @@ def verify_solution(
             solution.z0.tolist(),
             [float(time) for time in solution.span],
             _trial_data(solution),
-            asdict(claims),
+            json.loads(claims.to_json()),
             lambda: check_time("the independent checker ran"),
         )
 

@@ -13,6 +13,7 @@ from hamsym.bounds.residual import is_short_polynomial
 from hamsym.codegen.programs import programs_of
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.kernel.loops import Equations as Programs
+from hamsym.solution.discontinuities import has_switches
 
 
 @dataclass(frozen=True, eq=False)  # one object per H, so that its tables can be cached
@@ -41,6 +42,8 @@ class Flow:
     resting: Callable[[np.ndarray, np.ndarray], list[int]] | None = None
     #: Whether the formulas have numbers that float64 cannot represent.
     rounded: bool = False
+    #: Whether they have abs, sign, Min or Max of the state.
+    switched: bool = False
 
 
 @functools.lru_cache(maxsize=64)
@@ -72,6 +75,7 @@ def flow_of(H: Hamiltonian) -> Flow:
         autonomous=H.time is None,
         resting=lambda z, candidates: form.resting(z.tolist(), candidates.tolist()),
         rounded=any(map(has_rounded_numbers, form.formulas)),
+        switched=has_switches(H),
     )
 
 

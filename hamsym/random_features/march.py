@@ -39,6 +39,9 @@ _ROOM = 64  # windows for which there is room at first
 _CHUNKS = 32, 1_024  # windows between checks: after a failure, and at most
 _RETURNS = 12  # to one place, before the march goes on although it is not resolved
 _MOST_FAILURES = 3  # after which there are no more checks
+# Windows between checks that show rest at a switch, and the share of the span in which they are.
+_RESTING, _REST = 256, 1e-7
+REST = "the motion comes to rest where a force jumps, as under dry friction"
 MAX_WINDOWS = 200_000
 # Of a rough look at the whole span: the share of the sizes found there that floors become, steps at
 # least, and states at most.
@@ -162,6 +165,7 @@ class _Marching:
             newton_windows += given
             if status == loops.NEWTON:
                 continue
+            resting = self._is_resting()
             failure = self._check()
             if failure is not None:
                 self._go_back(failure)
@@ -170,6 +174,8 @@ class _Marching:
                 self._look_ahead()
             elif status == loops.TOO_SHORT:
                 reason = self._too_short()
+            elif resting:
+                reason = REST
             elif status == loops.FULL and not (reason := self._too_many()):
                 self._grow()
         windows = self._windows.part(0, self._count)
@@ -248,6 +254,14 @@ class _Marching:
         if not self._flow.autonomous:
             reason += "; give times at which H is discontinuous as breakpoints"
         return reason
+
+    def _is_resting(self) -> bool:
+        """Whether a force that jumps keeps the motion where it is since the last check."""
+        first, count = self._checked, self._count
+        if not self._flow.switched or count - first < _RESTING:
+            return False
+        edges = self._windows.part(first, count).edges
+        return bool(abs(edges[-1] - edges[0]) < _REST * self._whole)
 
     def _too_many(self) -> str:
         """The reason for ending where more windows than allowed are needed, "" where they fit."""

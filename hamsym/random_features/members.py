@@ -186,9 +186,10 @@ class MemberSolver:
     ) -> Batch:
         """Return the first ``done`` members, after the check between the points of the march."""
         counts, verdicts = members["count"][:done], members["verdict"][:done]
-        verdicts[self._exceeding(members, counts, parameters)] = loops.LEFT
+        total = int(counts.sum())
+        verdicts[self._exceeding(members, counts, total, parameters)] = loops.LEFT
         accepted = verdicts != loops.LEFT
-        total, final = int(counts.sum()), np.where(accepted, counts, 0)
+        final = np.where(accepted, counts, 0)
         kept = rows = None
         if not accepted.all():
             kept, rows = np.repeat(accepted, counts), np.repeat(final > 0, counts + 1)
@@ -212,10 +213,10 @@ class MemberSolver:
         )
 
     def _exceeding(
-        self, members: Members, counts: np.ndarray, parameters: np.ndarray
+        self, members: Members, counts: np.ndarray, total: int, parameters: np.ndarray
     ) -> np.ndarray:
         """Return the members with windows that the loop did not bound, and a search refuses."""
-        (left,) = np.nonzero(members["mark"][: counts.sum()] & loops.UNBOUNDED)
+        (left,) = np.nonzero(members["mark"][:total] & loops.UNBOUNDED)
         if not len(left):
             return left
         owner = np.repeat(np.arange(len(counts)), counts)[left]

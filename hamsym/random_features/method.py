@@ -28,7 +28,7 @@ from hamsym.random_features.error_estimate import (
 )
 from hamsym.random_features.features import FEWEST_WINDOWS, Features
 from hamsym.random_features.flow import flow_of
-from hamsym.random_features.march import MAX_WINDOWS, march
+from hamsym.random_features.march import MAX_WINDOWS, REST, march
 from hamsym.random_features.members import (
     LEAST_STEP,
     MARGIN,
@@ -256,7 +256,8 @@ class _Attempt:
     def jump(self) -> str | None:
         """Description of a discontinuity, where nothing else is amiss or the march is in doubt."""
         passed = not self.windows.reason and (self.windows.doubt or self.excess <= 1)
-        return self._jump(self.estimate.unresolved) if passed else None
+        searched = passed or self.windows.reason == REST
+        return self._jump(self.estimate.unresolved) if searched else None
 
     @property
     def is_too_steep(self) -> bool:

@@ -56,8 +56,12 @@ def accepted(
     """
     ratio, tol, span = excess(solution), solution.settings.tol, solution.settings.span
     state = with_error(state, ratio)
+    reached = solution.span[1]
+    if stopped and jump is not None:
+        at = shown_time(reached, *span)
+        return solution.judged(False, f"stopped at t = {at}: {stopped}; {jump}")
     if stopped:
-        reached, until = solution.span[1], held(solution)
+        until = held(solution)
         shown, missing = shown_time(until, *span), abs(reached - until)
         if shown == shown_time(reached, *span):
             shown = f"{missing:.1e} before that" if missing else "there"

@@ -144,5 +144,10 @@ def proven(solution: Solution) -> Solution:
         certificate = hamsym.certify(solution, progress=False, bound=allowed)
     except CertificationError as error:
         return solution.judged(False, f"{solution.message}; not proven: {error}")
-    message = f"{solution.message}; proven: the error is at most {certificate.bound:.2g} (2-norm)"
+    bounds = certificate.component_bounds
+    shares = [bound / most if most else bound for bound, most in zip(bounds, allowed, strict=True)]
+    worst = shares.index(max(shares))
+    name = solution.H.names[worst]
+    proven = f"the error of {name} is at most {solution.H.quantity(name, bounds[worst], '.2g')}"
+    message = f"{solution.message}; proven: {proven}"
     return replace(solution, message=message, certificate=certificate)

@@ -392,8 +392,8 @@ def switches(
     }
     found = []
     for step in sorted(steps, key=str):
-        low = -1 if isinstance(step, sympy.sign) else 0
-        jumps = [term.xreplace({step: 1}) - term.xreplace({step: low}) for term in jumping]
+        high, low = sympy.Integer(1), sympy.Integer(-1 if isinstance(step, sympy.sign) else 0)
+        jumps = [term.xreplace({step: high}) - term.xreplace({step: low}) for term in jumping]
         found.append((step.args[0], jumps))
     for angle, jumps in _angle_jumps(expr, gradient, z):
         if any(jump != 0 for jump in jumps[:-1]):

@@ -83,14 +83,13 @@ export class Player {
 
   /** Print how far the page's trajectory is from that of hamsym.solve at the problem's values. */
   compare() {
-    const { problem } = this, { reference } = problem;
-    if (!reference) return;
-    const trajectory = this.solved();
-    const difference = largestDifference(trajectory, reference);
+    const { reference } = this.problem;
+    const difference = reference ? largestDifference(this.solved(), reference) : Infinity;
     this.root.dataset.difference = difference;
-    this.part("accuracy").textContent =
-      `Accuracy: at the values of the start, this page differs from hamsym.solve by at most ${small(difference)} ` +
-      `of the largest value of each component (estimated error of solve: ${reference.error}).`;
+    this.part("accuracy").textContent = Number.isFinite(difference)
+      ? `Accuracy: at the values of the start, this page differs from hamsym.solve by at most ${small(difference)} ` +
+        `of the largest value of each component (estimated error of solve: ${minus(reference.error)}).`
+      : "Accuracy: not known, since hamsym.solve or this page does not reach the end of the motion.";
   }
 
   solved() {
@@ -132,7 +131,7 @@ export class Player {
     letter.textContent = base;
     if (sub) letter.append(Object.assign(document.createElement("sub"), { textContent: sub }));
     label.append(letter, unit ? ` / ${unit}` : "");
-    Object.assign(slider, { type: "range", min: 0, max: POSITIONS, id: `slider-${name}` });
+    Object.assign(slider, { type: "range", min: 0, max: POSITIONS, id: `slider-${name.replace(" ", "-")}` });
     label.htmlFor = slider.id;
     slider.setAttribute("aria-label", name); // the name as it is typed
     Object.assign(field, { type: "text", inputMode: "decimal", autocomplete: "off" });
@@ -204,8 +203,9 @@ export class Player {
   }
 
   redraw() {
-    if (!this.dirty && this.problem) requestAnimationFrame(() => this.drawAll());
+    if (this.dirty || !this.problem) return;
     this.dirty = true;
+    requestAnimationFrame(() => this.drawAll());
   }
 
   drawAll() {
@@ -222,7 +222,7 @@ export class Player {
   }
 
   compute() {
-    const began = performance.now(), { dof, natural, conserved, names } = this.problem;
+    const { dof, natural, conserved, names } = this.problem;
     this.trajectory = this.solved();
     const samples = (this.samples = this.trajectory.samples()), { count, dim } = samples;
     const energy = new Float64Array(count), potential = new Float64Array(count), kinetic = new Float64Array(count);
@@ -246,7 +246,6 @@ export class Player {
     }
     this.limits = this.limits.map((limit) => limit || Infinity);
     this.t = this.clamped(this.t);
-    this.cost = performance.now() - began;
     const { reason, t } = this.trajectory, said = [];
     if (reason) said.push(`The motion ends at t = ${short(t)}: ${reason}.`);
     if (beyond >= 0) said.push(`${names[beyond]} leaves the pictures at t = ${short(at)}: they end at ten times the size of the start.`);
@@ -305,7 +304,6 @@ export class Player {
       const rate = length / Math.min(Math.max(Math.abs(length), 8), 20);
       const step = rate * Number(this.part("speed").value) * Math.min(Math.max(now - before, 0), 100) / 1000;
       before = now;
-      this.frames = (this.frames ?? 0) + 1;
       if (!this.stale) this.seek(this.t + step);
       if (this.trajectory && !this.stale && this.t === this.trajectory.t) this.play(false);
       else requestAnimationFrame(frame);

@@ -78,11 +78,17 @@ class Trajectory {
 
   /** z + h times a sum of rates, into `trial`. */
   combine(weights, h) {
-    const { rates, trial, z, dim } = this;
-    for (let i = 0; i < dim; i++) {
-      let sum = 0;
-      for (let j = 0; j < weights.length; j++) if (weights[j]) sum += weights[j] * rates[j][i];
-      trial[i] = z[i] + h * sum;
+    const { trial, z, dim } = this;
+    this.sum(weights, trial);
+    for (let i = 0; i < dim; i++) trial[i] = z[i] + h * trial[i];
+  }
+
+  /** A sum of rates with weights. */
+  sum(weights, out) {
+    out.fill(0);
+    for (let j = 0; j < weights.length; j++) {
+      const weight = weights[j], rate = this.rates[j];
+      if (weight) for (let i = 0; i < out.length; i++) out[i] += weight * rate[i];
     }
   }
 
@@ -117,11 +123,11 @@ class Trajectory {
       terms[i] = change;
       terms[dim + i] = h * rates[0][i] - change;
       terms[2 * dim + i] = 2 * change - h * (rates[12][i] + rates[0][i]);
-      for (let k = 0; k < 4; k++) {
-        let sum = 0;
-        for (let j = 0; j < 16; j++) sum += method.d[k][j] * rates[j][i];
-        terms[(3 + k) * dim + i] = h * sum;
-      }
+    }
+    for (let k = 3; k < 7; k++) {
+      const term = terms.subarray(k * dim, (k + 1) * dim);
+      this.sum(method.d[k - 3], term);
+      for (let i = 0; i < dim; i++) term[i] *= h;
     }
     return terms;
   }

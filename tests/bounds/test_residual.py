@@ -15,7 +15,7 @@ from hamsym.codegen.programs import programs_of
 EDGES = np.arange(11.0)
 
 
-def found(force: str, limit: float, first_only: bool = False) -> list[Excess]:
+def found(force: str, limit: float, first_only: bool = False, whole: bool = False) -> list[Excess]:
     """Windows of the motion x = 0, p = 0 in which a force matters."""
     H = Hamiltonian(f"p**2/2 - x*({force})")
     system = H.compile("numpy")
@@ -35,6 +35,7 @@ def found(force: str, limit: float, first_only: bool = False) -> list[Excess]:
             np.empty(0),
             noise=0.0,
             first_only=first_only,
+            whole=whole,
         ).run()
 
 
@@ -51,6 +52,14 @@ def test_pulses_of_any_width_are_found(width: float, place: float) -> None:
 @pytest.mark.parametrize("width", [1e-5, 1e-9, 1e-12])
 def test_pulses_without_effect_pass(width: float) -> None:
     assert found(f"1e-9/{width}*exp(-((t - 4.5)/{width})**2)", 1e-6) == []
+
+
+def test_residual_may_count_over_the_whole_window() -> None:
+    pulse = "(sign(t - 4.5) - sign(t - 4.501))/100"
+    assert found(pulse, 1e-3) == []
+    (excess,) = found(pulse, 1e-3, whole=True)
+    assert (excess.window, excess.ratio) == (4, pytest.approx(20))
+    assert 4.5 <= excess.time <= 4.501
 
 
 def test_train_of_pulses_ends_at_the_first() -> None:

@@ -444,7 +444,7 @@ def test_certify_and_verify(capsys: Captured, tmp_path: Path) -> None:
     assert run(capsys, "solve", *arguments)[0] == 0
     status, out, _ = run(capsys, "certify", path)
     assert status == 0
-    assert out.startswith("proven: error at most ")
+    assert out.startswith("proven: error of ")
     assert "Proven: the largest |z^(t) - z(t)|" in out
     rows = {line.split()[0]: line.split()[1:] for line in out.splitlines() if "e-" in line}
     lower, upper = map(float, rows["|z|"])
@@ -453,7 +453,7 @@ def test_certify_and_verify(capsys: Captured, tmp_path: Path) -> None:
     certificate = tmp_path / "orbit.hamsym.certificate"
     status, out, _ = run(capsys, "verify", path)
     assert status == 0
-    assert out.startswith("verified: error at most ")
+    assert out.startswith("verified: error of ")
     assert out.endswith("every bound of the certificate is proven\n")
     proven = Certificate.from_json(certificate.read_text())
     # A bound slightly below the proven one.

@@ -29,13 +29,13 @@ def test_solve_with_a_proof_writes_the_certificate(capsys: Captured, tmp_path: P
     path = str(tmp_path / "orbit.hamsym")
     status, out, _ = run(capsys, "solve", *SOLVE, "--prove", "-o", path)
     assert status == 0
-    assert "proven: the error is at most" in " ".join(out.split())
+    assert "proven: the error of" in " ".join(out.split())
     assert out.splitlines()[-2:] == [f"wrote {path}", f"wrote {path}.certificate"]
     certificate = Certificate.from_json(Path(f"{path}.certificate").read_text())
     assert certificate.asked == pytest.approx((1e-8, 1e-8), rel=1e-3)
     status, out, _ = run(capsys, "verify", path)
     assert status == 0
-    assert out.startswith("verified: error at most ")
+    assert out.startswith("verified: error of ")
 
 
 def test_solve_with_a_proof_needs_no_file(capsys: Captured) -> None:

@@ -147,6 +147,24 @@ _SQUARE = plane((-6, 6), (-6, 6))
 _HILL = KINETIC + "y*p_x - x*p_y - 1/sqrt(x**2 + y**2) - x**2 + y**2/2"
 _WAVE = "(x**2 + p**2)/2 - (x**2 + p**2)**2/4 + x/5"
 _CAMEL = KINETIC + "(4 - 2.1*x**2 + x**4/3)*x**2 + x*y + (4*y**2 - 4)*y**2"
+
+
+@pytest.mark.parametrize(
+    ("formula", "word"),
+    [
+        ("p**2/2 + x**2/2", "elliptic"),
+        ("p**2/2 - x**2/2", "hyperbolic"),
+        ("p_x**2/2 + p_y**2/2 + x**2 - y**2", "mixed"),
+        ("y*p_x - x*p_y + x*p_x + y*p_y", "complex unstable"),
+        ("p**2/2 + x**4/4", "undecided"),
+    ],
+)
+def test_stability_has_the_words_of_orbits(formula: str, word: str) -> None:
+    H = hamsym.Hamiltonian(formula)
+    [found] = H.equilibria([[0.0] * H.dim])
+    assert found.stability == word
+
+
 #: H, box, numbers of linearly stable equilibria and of the others in it.
 COUNTS: dict[str, tuple[str, dict[str, Any], int, int]] = {
     "pendulum": ("p**2/2 - cos(x)", line((-10, 10)), 3, 4),

@@ -293,7 +293,7 @@ def test_certificates_are_in_the_docstring(tmp_path: Path) -> None:
     solution.export(tmp_path / "orbit.py", certificate=certificate)
     text = " ".join((module(tmp_path / "orbit.py").__doc__ or "").split())
     assert certificate.digest in text
-    bound = re.search(r"the error is at most (\S+) \(2-norm\)", text)
+    bound = re.search(r"the state at most (\S+) \(2-norm\)", text)
     assert bound is not None
     assert certificate.bound <= float(bound[1]) <= 1e-9
     solution.export(tmp_path / "orbit.json", certificate=certificate)
@@ -302,9 +302,7 @@ def test_certificates_are_in_the_docstring(tmp_path: Path) -> None:
     assert about["sha256"] == certificate.digest
     proved = solve("p**2/2 + x**2/2", [1, 0], (0, 1), prove=True)
     proved.export(tmp_path / "own.py")
-    assert "Proven: the error is at most" in (module(tmp_path / "own.py").__doc__ or "").replace(
-        "\n", " "
-    )
+    assert "Proven: the error of" in (module(tmp_path / "own.py").__doc__ or "").replace("\n", " ")
 
 
 def test_proofs_are_said_not_to_be_repeated(tmp_path: Path) -> None:
@@ -593,7 +591,7 @@ def test_command_exports_with_the_certificate_beside(capsys: pytest.CaptureFixtu
     assert "not proven" in (module(Path("a.py")).__doc__ or "")
     assert main(["certify", "a.hamsym", "--bound", "1e-9"]) == 0
     assert main(["export", "a.hamsym", "-o", "a.h"]) == 0
-    assert "Proven: the error is at most" in Path("a.h").read_text()
+    assert "Proven: the error of" in Path("a.h").read_text()
 
 
 @pytest.mark.usefixtures("saved")

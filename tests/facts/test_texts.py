@@ -156,7 +156,7 @@ def results() -> list[tuple[Any, str]]:
         (hamsym.lyapunov(H, [start] * 20, (0, 20)), "20 of 20 trajectories reached t = 20"),
         (hamsym.chaos_indicators(H, start, (0, 200)), "After a time of 200 the mean MEGNO is"),
         (section, f"{len(section.t)} crossings of x = 0, p_x > 0"),
-        (certificate, "proven: error at most "),
+        (certificate, "proven: error of "),
         (orbit, "converged: largest estimated error "),
         (orbit.family(energy=0.9, max_orbits=50), "family: "),
         (equilibria, "all 25 equilibria in the box, proven"),

@@ -23,7 +23,8 @@ from setuptools.errors import CompileError
 import hamsym
 from hamsym.bounds import models
 from hamsym.errors import FileError, HamsymError, InputError
-from hamsym.kernel import build_backend, enclosures, library
+from hamsym.kernel import build_backend, library
+from hamsym.proof.arithmetic import directed
 from hamsym.random_features import window_checks
 from hamsym.random_features.error_estimate import _PERTURBATIONS
 
@@ -274,8 +275,8 @@ def _constants() -> dict[str, dict[str, float]]:
 def test_constants_stand_in_sources_and_package_alike() -> None:
     of = _constants()
     balls, march, errors, own = (of[f"{name}.h"] for name in "balls march errors models".split())
-    assert (balls["UNIT"], balls["MIDDLE"]) == (enclosures.UNIT, enclosures.MIDDLE)
-    assert (balls["SMALL"], balls["UNDERFLOW_ERROR"]) == (enclosures.TINY, enclosures.UNDERFLOW)
+    assert (balls["UNIT"], balls["MIDDLE"]) == (directed.UNIT, directed.MIDDLE)
+    assert (balls["SMALL"], balls["UNDERFLOW_ERROR"]) == (directed.TINY, directed.UNDERFLOW)
     assert (errors["SLACK"], march["ROUND_OFF"]) == (window_checks.SLACK, window_checks._ROUND_OFF)
     assert (own["DEGREE"], own["PLACES"]) == (models.DEGREE, models.PLACES)
     counts = {errors[name] - 2 for name in ("EACH_MOST", "EACH_FEWER")}

@@ -260,7 +260,8 @@ def test_proven_orbit_says_its_proof() -> None:
     middle = np.array([[0.0, 1.0], [-1.0, 0.0]])
     ball = Ball(np.zeros(2), np.zeros(2))
     found = OrbitCertificate(
-        ball, Ball(6.28, 1e-12), 1e-13, 1e-3, Ball(middle, 0 * middle), "elliptic", 3, 1.0, "", ""
+        *(ball, Ball(6.28, 1e-12), 1e-13, 1e-3, Ball(middle, 0 * middle), "elliptic", 3, 1.0),
+        *("", "", ("x", "p")),
     )
     figure = found.plot()
     check_layout(figure)

@@ -297,3 +297,6 @@ def test_constants_of_the_library_contain_their_numbers():
             balls = [tuple(map(float.fromhex, row.split(", "))) for row in rows]
             assert all(inside(ball, truth) for ball, truth in zip(balls, numbers, strict=True))
             assert all(radius <= 1e-32 for _, _, radius in balls)
+            # No radius is larger than it has to be.
+            for (high, low, radius), truth in zip(balls, numbers, strict=True):
+                assert not radius or not inside((high, low, 0.99 * radius), truth)

@@ -673,3 +673,14 @@ def test_middle_of_quartic_chain_begins_with_high_powers() -> None:
     solution = hamsym.solve(H, z0, (0, 10))
     assert solution.success, solution.message
     assert true_error(solution, reference(H, z0, (0, 10))).max() <= 1e-9
+
+
+def test_rest_under_dry_friction_is_refused_at_once() -> None:
+    H = Hamiltonian("p**2/2 + x**2/2", forces={"p": "-sign(p)/10"})
+    solution = hamsym.solve(H, [1, 0], (0, 20))
+    assert not solution.success
+    # The amplitude falls by 0.2 in each half period, until the force cannot move the body.
+    assert solution.span[1] == pytest.approx(5 * np.pi, abs=1e-6)
+    assert "comes to rest where a force jumps" in solution.message
+    assert "the force jumps at t = 3.14159" in solution.message
+    assert len(solution.record.edges) < 1_000

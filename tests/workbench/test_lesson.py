@@ -287,6 +287,8 @@ def test_ranges_contain_the_values(tmp_path: Path) -> None:
         solution.export(tmp_path / "a.html", parameters={"k": (1, 2)})
     with pytest.raises(InputError, match="z0 and span are those of the solution"):
         hamsym.export(solution, tmp_path / "a.html", z0=[1, 0])
+    with pytest.raises(InputError, match="has no certificate"):
+        solution.export(tmp_path / "a.html", certificate=solution.certify())
     with pytest.raises(InputError, match="title is an option of lessons"):
         solution.export(tmp_path / "a.py", title="A spring")
     with pytest.raises(InputError, match="a Hamiltonian cannot be exported"):

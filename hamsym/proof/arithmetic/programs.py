@@ -251,32 +251,23 @@ class Recorder:
         return self.apply(functions.FUNCTIONS["exp"], self.apply(operator.mul, exponent, logarithm))
 
 
+def _recorded(function: Callable[..., Any], swapped: bool = False) -> Callable[..., Any]:
+    """A method that records an operation."""
+    return lambda self, *others: self.recorder.apply(
+        function, *((*others, self) if swapped else (self, *others))
+    )
+
+
 class _Value:
     """A register of a recorder."""
 
     def __init__(self, recorder: Recorder, place: int) -> None:
         self.recorder, self.place = recorder, place
 
-    def __add__(self, other: Any) -> Any:
-        return self.recorder.apply(operator.add, self, other)
-
-    def __radd__(self, other: Any) -> Any:
-        return self.recorder.apply(operator.add, other, self)
-
-    def __sub__(self, other: Any) -> Any:
-        return self.recorder.apply(operator.sub, self, other)
-
-    def __rsub__(self, other: Any) -> Any:
-        return self.recorder.apply(operator.sub, other, self)
-
-    def __mul__(self, other: Any) -> Any:
-        return self.recorder.apply(operator.mul, self, other)
-
-    def __rmul__(self, other: Any) -> Any:
-        return self.recorder.apply(operator.mul, other, self)
-
-    def __neg__(self) -> Any:
-        return self.recorder.apply(operator.neg, self)
+    __add__, __radd__ = _recorded(operator.add), _recorded(operator.add, swapped=True)
+    __sub__, __rsub__ = _recorded(operator.sub), _recorded(operator.sub, swapped=True)
+    __mul__, __rmul__ = _recorded(operator.mul), _recorded(operator.mul, swapped=True)
+    __neg__ = _recorded(operator.neg)
 
 
 _OPERATORS: dict[Any, int] = {

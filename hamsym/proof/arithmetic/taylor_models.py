@@ -10,15 +10,7 @@ All operations work on many cubes, the cells, at once: the coefficients of P hav
 *Terms.* tau^a s^nu with (a/m_t)^2 + (|nu|/m_y)^2 <= 1. What a product has beyond them goes to the
 radius: it is at most the sum of |A_i B_j| over the pairs of terms that are left out.
 
-*Rounding.* Coefficients are rounded to nearest, unit u = 2^-53. A sum of n products has an error of
-at most gamma_n sum |a_i b_j|, gamma_n = n u/(1 - n u), in whichever order it is formed, with or
-without fused multiplication (Higham 2002, section 3.1). |tau|, |s_k| <= 1, so that errors of
-coefficients add to the radius as they are. Radii are sums and products of numbers >= 0; they are
-multiplied by 1 + 2 (n + 32) u for sums of n terms, which covers their own rounding, and enlarged by
-1e-290, which covers underflow. Overflow gives infinity or NaN, which no acceptance admits.
-
-*Functions.* f(c + v) = sum_k<=m f_k v^k + f_m+1(xi) v^(m+1), with c the constant coefficient. The
-Taylor coefficients f_k at c and f_m+1 on the range of c + v are computed in ball arithmetic (Arb).
+*Rounding* and *functions*: lemma 26 of examples/guide/how_proofs_work.md.
 
 References: Makino & Berz 2003 (Taylor models); Revol, Makino & Berz 2005 (their rounding).
 """

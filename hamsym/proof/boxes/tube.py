@@ -1,33 +1,11 @@
 """A tube around a flow map that contains the exact trajectories of all starts in a cell.
 
-Let z^(t, y) be the map on a step of its time and z(t, y) the exact solution, delta = z^ - z, F the
-vector field, A = DF(z^) and r = dz^/dt - F(z^) the defect. Then
-
-    delta' = r + F(z^) - F(z) = r + A delta + q,
-    |q_i| <= 1/2 sum_jk sup |d2F_i/dz_j dz_k| D_j D_k   where |delta_j| <= D_j,
-
-with the supremum over the tube |z - z^| <= D, by Taylor's theorem. Let S(t, y) and M(t, y) be any
-polynomials; they are chosen so that S A + S' and 1 - M S are small: M is about the fundamental
-matrix of delta' = A delta, found in float64, and S = -J M^T J. With w = S delta
-
-    w' = S r + (S' + S A) delta + S q,      delta = M w + (1 - M S) delta.
-
-W, the integral of S r, is a Taylor model: a polynomial in the time and in y, in which the signs of
-the defect cancel. So from w = w_0 at the begin of the step, of length l, and as long as
-|delta| <= D,
-
-    |delta| <= sup |M (w_0 + W)| + sup |M| l (sup |S' + S A| D + sup |S| sup |q|)
-               + sup |1 - M S| D.
-
-If the right-hand side is below D in every component, it bounds |delta| at the begin of the step,
-where delta = M w_0 + (1 - M S) delta: the matrix of sup |1 - M S| has then a spectral radius below
-one, so that (1 - sup |1 - M S|)^-1 exists and is not negative. Later |delta| cannot be the first to
-reach D, and the bound holds on the whole step; H is analytic on the tube, so that z exists there.
-At the end of a step w is known as a model again. Where S changes to S_1, and z^ by a jump j between
-two pieces of the map, w_1 = S_1 (delta + j) = w + (S_1 - S) delta + S_1 j.
-
-No error is enclosed in boxes that turn with the flow, so that the bounds do not grow by wrapping:
-what grows is only the second order and what the models leave out.
+Lemma 28 of examples/guide/how_proofs_work.md: with z^(t, y) the map on a step of its time, z(t, y)
+the exact solution, delta = z^ - z, F the vector field, A = DF(z^), r = dz^/dt - F(z^) the defect,
+M is about the fundamental matrix of delta' = A delta, found in float64, S = -J M^T J about its
+inverse, and w = S delta. W, the integral of S r, is a Taylor model: a polynomial in the time and in
+y, in which the signs of the defect cancel. No error is enclosed in boxes that turn with the flow,
+so that the bounds do not grow by wrapping.
 """
 
 from __future__ import annotations

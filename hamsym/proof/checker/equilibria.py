@@ -21,7 +21,7 @@ from typing import Any
 from flint import acb_mat, arb, arb_mat, ctx
 
 from hamsym.proof.checker.formulas import NotProvenError
-from hamsym.proof.checker.motion import UNIT, Equations, column, identity
+from hamsym.proof.checker.functions import UNIT, Equations, column, identity
 
 _BITS, _NEWTON, _CONTRACTIONS = 320, 8, 40
 _LEAST = arb(2) ** -200  # radius of the box

@@ -16,7 +16,7 @@ from typing import Any
 from flint import fmpq, fmpq_mpoly, fmpq_mpoly_ctx
 
 from hamsym.proof.checker.formulas import Formulas, NotProvenError
-from hamsym.proof.checker.motion import Equations, exact_numbers
+from hamsym.proof.checker.functions import Equations, exact_numbers
 
 _Quotient = tuple[fmpq_mpoly, fmpq_mpoly]
 

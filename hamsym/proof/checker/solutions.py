@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from itertools import pairwise
 from typing import Any
@@ -17,15 +17,8 @@ from typing import Any
 from flint import arb, arb_poly, ctx
 
 from hamsym.proof.checker.formulas import NotProvenError, ball
-from hamsym.proof.checker.motion import (
-    UNIT,
-    Equations,
-    Polynomial,
-    Step,
-    expanded,
-    steps,
-    time_at,
-)
+from hamsym.proof.checker.functions import UNIT, Equations, Polynomial, expanded, time_at
+from hamsym.proof.checker.motion import Step, steps
 from hamsym.proof.checker.trials import Window, windows
 
 # Bits, Taylor coefficients, and the size of the last ones, of attempts.
@@ -34,6 +27,8 @@ _HALVINGS = 50  # of -1 <= x <= 1
 _DEPTH = 14  # of divisions of a part of the span, where z^ is not resolved
 _COARSE = 80  # bits of sums of squares
 _NEGLIGIBLE = arb(2) ** -60
+
+Bound = Fraction | float  # a float is infinite
 
 
 class FalseClaimError(NotProvenError):
@@ -48,17 +43,24 @@ def check_solution(
     claims: Mapping[str, Any],
     check_time: Callable[[], None],
 ) -> None:
-    """Prove every claim of the certificate of a solution; raise NotProvenError if one fails."""
+    """Prove every claim of the certificate of a solution; raise NotProvenError if one fails.
+
+    - H, trial: See :class:`Equations` and :func:`windows`.
+    - claims: The values of its JSON; bounds count as the decimals that they are, edges as the
+      binary fractions next to them.
+    """
     failure: NotProvenError | None = None
     for bits, order, accuracy in _ATTEMPTS:
         with ctx.workprec(bits):
             try:
-                _Check(H, z0, span, trial, claims, order).run(accuracy, check_time)
-                return
+                check = _Check(H, z0, trial, claims, [Fraction(value) for value in span])
+                return check.run(order, accuracy, check_time)
             except FalseClaimError:
                 raise
             except NotProvenError as error:
                 failure = failure or error
+            except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+                raise FalseClaimError(f"the data have another form: {error!r}") from None
     raise failure or NotProvenError("there is no proof")
 
 
@@ -67,151 +69,129 @@ class _Check:
         self,
         H: Mapping[str, Any],
         z0: Sequence[float],
-        span: Sequence[float],
         trial: Mapping[str, Any],
         claims: Mapping[str, Any],
-        order: int,
+        span: list[Fraction],
     ) -> None:
-        self._equations, self._z0, self._order = Equations(H), z0, order
-        self._times, self._span = span, [Fraction(value) for value in span]
-        self._sign = 1 if self._span[1] > self._span[0] else -1
-        dim = self._equations.dim
+        self._equations, self._z0, self._span = Equations(H), z0, span
+        self._sign = 1 if span[1] > span[0] else -1
+        dim, names = self._equations.dim, self._equations.names
+        self._names = ["the norm", *(f"the error of {n}" for n in names), "the energy", "ell_max"]
+        keys = ("bound", "component_bounds", "energy_bound", "ell_max_bound")
+        self._uppers = _row(claims[key] for key in keys)
+        self._lowers = _row(claims[key.replace("bound", "lower")] for key in keys)
+        self._pieces = _row([claims["piece_bounds"]])
+        #: Signed, in the order of the span.
+        self._edges = [self._sign * Fraction(float(edge)) for edge in claims["edges"]]
         self._windows = windows(trial, dim)
-        names = ["the norm", *(f"the error of {name}" for name in (*H["q"], *H["p"]))]
-        self._names = [*names, "the energy", "ell_max"]
-        keys = "bound", "component_bounds", "energy_bound", "ell_max_bound"
-        self._uppers = _row(claims, keys)
-        self._lowers = _row(claims, [key.replace("bound", "lower") for key in keys])
-        self._edges = [Fraction(edge) for edge in claims["edges"]]
-        self._pieces = [float(value) for value in claims["piece_bounds"]]
-        if (
-            [*self._edges[:: len(self._edges) - 1]] != self._span
-            or not len(self._uppers) == len(self._lowers) == dim + 3
-            or not len(self._pieces) == len(self._edges) - 1
-            or not all(self._sign * a < self._sign * b for a, b in pairwise(self._edges))
-        ):
+        self._starts = [self._sign * window.start for window in self._windows]
+        begin, end = (self._sign * value for value in span)
+        for rising in (self._edges, [*self._starts, self._sign * self._windows[-1].end]):
+            if len(rising) < 2 or not all(a < b for a, b in pairwise(rising)):
+                raise FalseClaimError("times are not in order")
+            if not rising[0] <= begin < end <= rising[-1]:
+                raise FalseClaimError("the span is not covered")
+        sizes = [len(self._uppers), len(self._lowers), len(self._pieces)]
+        ends = [self._edges[0], self._edges[-1]]
+        if sizes != [dim + 3, dim + 3, len(self._edges) - 1] or ends != [begin, end]:
             raise FalseClaimError("the certificate does not fit the solution")
-        pairs = zip(self._lowers, self._uppers, strict=True)
-        if not all(low >= 0 and math.isfinite(low) and high >= 0 for low, high in pairs):
+        if not all(value >= 0 for value in (*self._uppers, *self._lowers, *self._pieces)):
             raise FalseClaimError("the certificate has numbers that are no bounds")
-        #: Claims of lower bounds that are not proven yet.
+        #: Claims of lower bounds that are not proven yet, and what has to be bounded.
         self._open = {k for k, lower in enumerate(self._lowers) if lower > 0}
-        used = [k for k in (dim + 1, dim + 2) if self._uppers[k] < math.inf or k in self._open]
-        self._used = [*range(dim + 1), *used]
+        self._used = [k for k, v in enumerate(self._uppers) if v < math.inf or k in self._open]
         zero = {i for i, value in enumerate(z0) if value == 0 and _is_zero(trial, i)}
         self._resting = self._equations.resting(zero)
-        start = [arb(value) for value in z0]
-        self._energy = self._equations.run_energy([*start, ball(self._span[0])])[0]
+        start = [*map(arb, z0), ball(span[0])]
+        self._energy = self._equations.run_energy(start)[0]
 
-    def run(self, accuracy: float, check_time: Callable[[], None]) -> None:
-        edges = {*self._edges, *(w.start for w in self._windows), *(w.end for w in self._windows)}
-        ordered = sorted(self._sign * edge for edge in edges)
-        starts = [self._sign * window.start for window in self._windows]
-        if (
-            starts != sorted({*starts})
-            or any(a.end != b.start for a, b in pairwise(self._windows))
-            or [self._windows[0].start, self._windows[-1].end] != self._span
-        ):
-            raise FalseClaimError("the windows of the solution do not cover the span")
-        claimed = [self._sign * edge for edge in self._edges]
-        found = steps(self._equations, self._z0, self._times, self._order, accuracy, check_time)
+    def run(self, order: int, accuracy: float, check_time: Callable[[], None]) -> None:
+        ordered = sorted({*self._edges, *self._starts})
+        found = steps(self._equations, self._z0, self._span, order, accuracy, check_time)
         for step in found:
             low, high = (self._sign * (step.middle + side * step.r) for side in (-1, 1))
-            first, last = bisect_right(ordered, low), bisect_right(ordered, high)
-            inner = [edge for edge in ordered[first:last] if edge < high]
-            for a, b in pairwise([low, *inner, high]):
+            inner = ordered[bisect_right(ordered, low) : bisect_right(ordered, high)]
+            for a, b in pairwise([low, *(edge for edge in inner if edge < high), high]):
                 check_time()
-                window = self._windows[bisect_right(starts, a) - 1]
-                piece = self._pieces[bisect_right(claimed, a) - 1]
-                self._part(step, window, piece, self._sign * a, self._sign * b, _DEPTH)
+                self._part(step, self._sign * a, self._sign * b, order, _DEPTH)
         if self._open:
             name = self._names[min(self._open)]
             raise NotProvenError(f"its claim about {name} is not proven: it is not so large")
 
-    def _part(
-        self, step: Step, window: Window, piece: float, a: Fraction, b: Fraction, depth: int
-    ) -> None:
+    def _part(self, step: Step, a: Fraction, b: Fraction, order: int, depth: int) -> None:
         """Compare claims with a part of a step, in one window and in one piece of the claims."""
+        place = min(self._sign * a, self._sign * b)
+        window = self._windows[bisect_right(self._starts, place) - 1]
+        piece = self._pieces[bisect_right(self._edges, place) - 1]
         try:
-            series = self._series(step, window, (a + b) / 2, (b - a) / 2)
-            dim = self._equations.dim
-            groups = [series[:dim], *([one] for one in series[: dim + 1]), series[dim + 1 :]]
-            squares = {k: _square(groups[k]) for k in self._used}
-            for k, square in squares.items():
-                upper = self._uppers[k]
-                _require_below(square, min(upper, piece) if k == 0 else upper, self._names[k])
+            groups = self._groups(step, window, (a + b) / 2, (b - a) / 2, order)
+            for k, square in groups.items():
+                limit = min(self._uppers[k], piece) if k == 0 else self._uppers[k]
+                _require_below(square, limit, self._names[k])
         except FalseClaimError:
             raise
         except NotProvenError:
             if not depth:
                 raise
             for low, high in ((a, (a + b) / 2), ((a + b) / 2, b)):
-                self._part(step, window, piece, low, high, depth - 1)
-            return
-        self._open -= {k for k in self._open if _reaches(squares[k], self._lowers[k])}
+                self._part(step, low, high, order, depth - 1)
+        else:
+            self._open -= {k for k in self._open if _reaches(groups[k], self._lowers[k])}
 
-    def _series(self, step: Step, window: Window, middle: Fraction, r: Fraction) -> list[list[arb]]:
-        """Taylor coefficients of the errors, of the energy error and of the residual."""
-        equations, dim = self._equations, self._equations.dim
-        line = step.line(middle, r)
-        near = [part.real(line) for part in step.y]
-        trial, inverse = window.on(middle, r), ball(1 / r)
-        whole = max(self._used) > dim
+    def _groups(
+        self, step: Step, window: Window, middle: Fraction, r: Fraction, order: int
+    ) -> dict[int, arb_poly]:
+        """|g|^2 for each of the errors, the energy error and the residual that has a claim."""
+        equations, dim, inverse = self._equations, self._equations.dim, ball(1 / r)
+        y = [Polynomial(part.real(step.line(middle, r)).coeffs()) for part in step.y]
+        trial = window.on(middle, r)
 
         def at(x: Any) -> list[Any]:
-            states = trial(x)
-            if not whole:
-                return states
-            full = [*states, time_at(middle, r, x)]
-            energy = equations.run_energy(full)[0]
-            if equations.conserved:
-                energy = energy - self._energy
-            else:
-                true = [p(x) + t * UNIT for p, t in zip(own, step.tube, strict=True)]
-                energy = energy - equations.run_energy([*true, full[-1]])[0]
-            return [*states, energy, *equations.run_rates(full)]
+            states, time = trial(x), time_at(middle, r, x)
+            found = list(states)
+            if dim + 1 in self._used:
+                true = self._energy
+                if not equations.conserved:
+                    near = [part(x) + t * UNIT for part, t in zip(y, step.tube, strict=True)]
+                    (true,) = equations.run_energy([*near, time])
+                found += [energy - true for energy in equations.run_energy([*states, time])]
+            return found + (equations.run_rates([*states, time]) if dim + 2 in self._used else [])
 
-        own = [Polynomial(part.coeffs()) for part in near]
-        found = expanded(at, self._order)
-        rows = []
-        for i, (state, part, tube) in enumerate(zip(found, near, step.tube, strict=False)):
-            if i in self._resting:
-                rows.append([arb(0)])
-                continue
-            row = [-c for c in part.coeffs()]
-            row += [arb(0)] * (self._order - len(row))
-            for k, c in enumerate(state.first):
-                row[k] += c
-            rows.append(_with_rest(row, state.rest() + tube))
-        if whole:
-            energy, *rates = found[dim:]
-            rows.append(_with_rest(energy.first, energy.rest()))
-            for state, rate in zip(found, rates, strict=False):
+        found, rows = expanded(at, order), []
+        for i, (state, part, tube) in enumerate(zip(found, y, step.tube, strict=False)):
+            row = (arb_poly(state.first) - part.real).coeffs() or [arb(0)]
+            rows.append([arb(0)] if i in self._resting else _with_rest(row, state.rest() + tube))
+        groups = {0: rows[:], **{i + 1: [row] for i, row in enumerate(rows)}}
+        if dim + 1 in self._used:
+            groups[dim + 1] = [_with_rest(found[dim].first, found[dim].rest())]
+        if dim + 2 in self._used:
+            groups[dim + 2] = []
+            for state, rate in zip(found, found[-dim:], strict=False):
                 slopes = [inverse * (k + 1) * c for k, c in enumerate(state.first[1:])]
                 row = [a - b for a, b in zip(slopes, rate.first, strict=False)]
-                last = abs(rate.first[-1])
-                rest = rate.rest() + last + abs(inverse) * state.rest_of_derivative()
-                rows.append(_with_rest(row, rest))
-        return rows
+                rest = rate.rest() + abs(rate.first[-1])
+                rest += abs(inverse) * state.rest_of_derivative()
+                groups[dim + 2].append(_with_rest(row, rest))
+        return {k: _square(groups[k]) for k in self._used}
 
 
 # -- claims ---------------------------------------------------------------------------------------
 
 
-def _row(claims: Mapping[str, Any], keys: Sequence[str]) -> list[float]:
-    """Claims for the norm, the components, the energy and the residual."""
-    first, components, *others = (claims[key] for key in keys)
-    return [float(value) for value in (first, *components, *others)]
+def _row(values: Iterable[Any]) -> list[Bound]:
+    """Numbers, and the elements of sequences of them, exactly as they are written."""
+    flat: list[Any] = []
+    for value in values:
+        flat += value if isinstance(value, list | tuple) else [value]
+    return [Fraction(v) if math.isfinite(float(v)) else float(v) for v in flat]
 
 
 def _is_zero(trial: Mapping[str, Any], i: int) -> bool:
     """Whether a component of z^ vanishes identically."""
-    return trial["kind"] == "features" and not any(
-        [
-            *(state[i] for state in trial["states"]),
-            *(row[i] for readout in trial["readouts"] for row in readout),
-        ]
-    )
+    if trial["kind"] != "features":
+        return False
+    rows = [*trial["states"], *(row for readout in trial["readouts"] for row in readout)]
+    return not any(row[i] for row in rows)
 
 
 def _with_rest(series: list[arb], rest: arb) -> list[arb]:
@@ -242,12 +222,12 @@ def _spread(part: arb_poly) -> arb:
     return sum(map(abs, part.coeffs()[1:]), arb(0)).abs_upper()
 
 
-def _require_below(square: arb_poly, limit: float, name: str) -> None:
+def _require_below(square: arb_poly, limit: Bound, name: str) -> None:
     """Prove |g|^2 <= limit^2 for -1 <= x <= 1."""
     if limit == math.inf:
         return
     with ctx.workprec(_COARSE):
-        squared, parts = arb(limit) * arb(limit), [(square, 0)]
+        squared, parts = ball(limit) ** 2, [(square, 0)]
         while parts:
             part, depth = parts.pop()
             spread = _spread(part)
@@ -260,10 +240,12 @@ def _require_below(square: arb_poly, limit: float, name: str) -> None:
             parts += [(half, depth + 1) for half in _halves(part)]
 
 
-def _reaches(square: arb_poly, limit: float) -> bool:
+def _reaches(square: arb_poly, limit: Bound) -> bool:
     """Whether |g| >= limit is proven somewhere."""
+    if limit == math.inf:
+        return False
     with ctx.workprec(_COARSE):
-        squared, parts = arb(limit) * arb(limit), [(square, 0)]
+        squared, parts = ball(limit) ** 2, [(square, 0)]
         while parts:
             part, depth = parts.pop()
             if any(part(arb(x)) >= squared for x in (-1, 0, 1)):

@@ -6,7 +6,7 @@ f = 1 - exp(-s) or s, and N a Chebyshev series of features, or a network of sine
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
@@ -15,7 +15,10 @@ from typing import Any
 from flint import acb, arb, arb_mat, arb_poly, arb_series
 
 from hamsym.proof.checker.formulas import NotProvenError, ball
-from hamsym.proof.checker.motion import Polynomial, coefficients
+from hamsym.proof.checker.functions import Polynomial, coefficients
+
+#: (s at x = 0, its change with x) -> (x -> N(s)).
+_Network = Callable[[Fraction, Fraction], Callable[[Any], list[Any]]]
 
 
 @dataclass(frozen=True)
@@ -24,33 +27,47 @@ class Window:
 
     start: Fraction
     end: Fraction
-    #: (middle, r) -> (x -> z^ at t = middle + r x).
-    on: Callable[[Fraction, Fraction], Callable[[Any], list[Any]]]
+    tau: Fraction
+    state: Sequence[float]
+    linear: bool
+    network: _Network
+
+    def on(self, middle: Fraction, r: Fraction) -> Callable[[Any], list[Any]]:
+        """The function x -> z^ at t = middle + r x."""
+        start, slope = (middle - self.start) / self.tau, r / self.tau
+        network = self.network(start, slope)
+
+        def at(x: Any) -> list[Any]:
+            s = ball(start) + ball(slope) * x
+            f = s if self.linear else 1 - (-s).exp()
+            return [arb(z) + f * N for z, N in zip(self.state, network(x), strict=True)]
+
+        return at
 
 
 def windows(trial: Mapping[str, Any], dim: int) -> list[Window]:
-    """The windows of a trial solution, from its data."""
+    """The windows of a trial solution.
+
+    - trial: Its data: "kind" is "features", with "origin", "edges", "states", "series" and
+      "readouts", or "networks", with "pieces" and the "end" of the last one.
+    """
     if trial["kind"] == "features":
-        origin = Fraction(trial["origin"])
-        edges = [origin + Fraction(edge) for edge in trial["edges"]]
+        edges = [Fraction(trial["origin"]) + Fraction(edge) for edge in trial["edges"]]
         series = _monomials(arb_mat(trial["series"]))
+        parts = zip(pairwise(edges), trial["states"], trial["readouts"], strict=False)
         return [
-            Window(a, b, _Features(a, b - a, trial["states"][k], series, trial["readouts"][k]).on)
-            for k, (a, b) in enumerate(pairwise(edges))
+            Window(a, b, b - a, state, False, _features(series * arb_mat(readout)))
+            for (a, b), state, readout in parts
         ]
-    networks = trial["pieces"]
-    edges = [Fraction(network["t0"]) for network in networks] + [Fraction(trial["end"])]
-    return [
-        Window(a, b, _Networks(network, dim).on)
-        for network, (a, b) in zip(networks, pairwise(edges), strict=True)
-    ]
-
-
-def _line(
-    start: Fraction, tau: Fraction, middle: Fraction, r: Fraction
-) -> tuple[Fraction, Fraction]:
-    """The coefficients of s in x."""
-    return (middle - start) / tau, r / tau
+    pieces = trial["pieces"]
+    edges = [*(Fraction(piece["t0"]) for piece in pieces), Fraction(trial["end"])]
+    found = []
+    for piece, (a, b) in zip(pieces, pairwise(edges), strict=True):
+        if piece["envelope"] not in ("exponential", "linear") or len(piece["z0"]) != dim:
+            raise NotProvenError("the network is none that is covered")
+        tau, linear = Fraction(piece["tau"]), piece["envelope"] == "linear"
+        found.append(Window(a, b, tau, piece["z0"], linear, _network(piece)))
+    return found
 
 
 def _monomials(series: arb_mat) -> arb_mat:
@@ -63,62 +80,39 @@ def _monomials(series: arb_mat) -> arb_mat:
     return arb_mat(table) * series
 
 
-class _Features:
-    def __init__(
-        self,
-        start: Fraction,
-        tau: Fraction,
-        state: Sequence[float],
-        series: arb_mat,
-        readout: Sequence[Sequence[float]],
-    ) -> None:
-        self._start, self._tau, self._state = start, tau, state
-        found = series * arb_mat([list(row) for row in readout])
-        rows, dim = range(found.nrows()), found.ncols()
-        self._networks = [arb_poly([found[k, i] for k in rows]) for i in range(dim)]
+def _features(powers: arb_mat) -> _Network:
+    """Polynomials in 2 s - 1."""
+    columns = [
+        arb_poly([powers[k, i] for k in range(powers.nrows())]) for i in range(powers.ncols())
+    ]
 
-    def on(self, middle: Fraction, r: Fraction) -> Callable[[Any], list[Any]]:
-        s, slope = _line(self._start, self._tau, middle, r)
-        place = arb_poly([ball(2 * s - 1), ball(2 * slope)])
-        networks = [Polynomial(network(place).coeffs()) for network in self._networks]
+    def on(start: Fraction, slope: Fraction) -> Callable[[Any], list[Any]]:
+        line = arb_poly([ball(2 * start - 1), ball(2 * slope)])
+        polynomials = [Polynomial(column(line).coeffs()) for column in columns]
+        return lambda x: [polynomial(x) for polynomial in polynomials]
 
-        def at(x: Any) -> list[Any]:
-            f = 1 - (-(ball(s) + ball(slope) * x)).exp()
-            pairs = zip(self._state, networks, strict=True)
-            return [arb(state) + f * network(x) for state, network in pairs]
-
-        return at
+    return on
 
 
-class _Networks:
-    def __init__(self, network: Mapping[str, Any], dim: int) -> None:
-        self._data, self._tau = network, Fraction(network["tau"])
-        self._start, self._z0 = Fraction(network["t0"]), network["z0"]
-        if network["envelope"] not in ("exponential", "linear") or len(self._z0) != dim:
-            raise NotProvenError("the network is none that is covered")
-        self._parts = [list(_layers(theta, network["sizes"])) for theta in network["weights"]]
+def _network(piece: Mapping[str, Any]) -> _Network:
+    """A fully connected network, or one for each component."""
+    parts = [list(_layers(theta, piece["sizes"])) for theta in piece["weights"]]
+    activation = _ACTIVATIONS[piece["activation"]]
 
-    def on(self, middle: Fraction, r: Fraction) -> Callable[[Any], list[Any]]:
-        start, slope = _line(self._start, self._tau, middle, r)
-
-        def at(x: Any) -> list[Any]:
-            s = ball(start) + ball(slope) * x
-            f = s if self._data["envelope"] == "linear" else 1 - (-s).exp()
-            networks = [value for part in self._parts for value in self._values(part, s)]
-            return [arb(z) + f * N for z, N in zip(self._z0, networks, strict=True)]
-
-        return at
-
-    def _values(self, layers: list[tuple[Any, list[float]]], s: Any) -> list[Any]:
+    def value(layers: list[tuple[arb_mat, list[float]]], s: Any) -> list[Any]:
         values = [s]
         for depth, (matrix, bias) in enumerate(layers):
-            if depth:
-                values = [_ACTIVATIONS[self._data["activation"]](value) for value in values]
-            values = [a + arb(b) for a, b in zip(_product(matrix, values), bias, strict=True)]
+            inner = [activation(value) for value in values] if depth else values
+            values = [a + arb(b) for a, b in zip(_product(matrix, inner), bias, strict=True)]
         return values
 
+    def on(start: Fraction, slope: Fraction) -> Callable[[Any], list[Any]]:
+        return lambda x: [N for part in parts for N in value(part, ball(start) + ball(slope) * x)]
 
-def _layers(theta: Sequence[float], sizes: Sequence[int]) -> Any:
+    return on
+
+
+def _layers(theta: Sequence[float], sizes: Sequence[int]) -> Iterator[tuple[arb_mat, list[float]]]:
     first = 0
     for inputs, neurons in pairwise(sizes):
         last = first + inputs * neurons

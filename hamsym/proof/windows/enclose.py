@@ -47,8 +47,7 @@ def enclose(
 
     The result contains the true state at every time of the span, for every choice of the initial
     state and of the parameters in the balls that were given, and its derivatives by both. Every
-    rounding is covered. The method is explained, and proven, in the headers ``enclosures.h``,
-    ``series.h`` and ``balls.h`` of ``hamsym/kernel``.
+    rounding is covered. The page "How the proofs work" of the documentation has the lemmas.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """The window lemma: bounds on the solutions from a set over a window, for any guess of y and V.
 
-``hamsym/kernel/enclosures.h`` states and proves it, with the numbers D, B, F, K, m, d and rho that
+Lemmas 16 to 21 of examples/guide/how_proofs_work.md, with the numbers D, B, F, K, m, d and rho that
 are bounded here. Nothing in this module knows how a guess was found: it imports no guess, and reads
 of one only numbers, which may be any.
 """

@@ -4,13 +4,7 @@ On each window of :mod:`hamsym.proof.windows.proven_windows`, z = y + (a set of 
 is a Chebyshev model (:mod:`hamsym.proof.windows.trial_models`). So z^ - y, H(z^) - H and dz^/dt - J
 grad H(z^) are models, too, formed in twice float64: P with |f - P| <= R.
 
-*Largest values.* For a polynomial P of degree n < M and the zeros x_j of T_M,
-
-    max_j |P(x_j)| <= max |P| <= max_j |P(x_j)| / cos(n pi/(2 M))      (Ehlich & Zeller 1964),
-
-and for a 2-norm the same for the sum of squares, of degree 2 n. Upper bounds grow by R and by the
-size of the set, lower bounds shrink by both. If H does not depend on time, H(z) = H(z0) exactly;
-otherwise |H(z) - H(y)| <= sum_i sup |dH/dz_i| |z_i - y_i|, the supremum over the tube around y.
+Lemmas 23 to 25 of examples/guide/how_proofs_work.md bound their largest values from both sides.
 """
 
 from __future__ import annotations
@@ -364,12 +358,8 @@ def norm_and_parts(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Bounds on the 2-norm and on the size of each of several models, shape (1 + n,).
 
-    *Rounding.* A sample is a sum of m products with rounded numbers |T_k| <= 1: it is wrong by at
-    most (m + 1) u sum |c_k|, twice of which is ``rounding``; TINY covers underflow. What follows
-    are sums and products of numbers >= 0 and their roots, of fewer than 10^5 terms, with relative
-    errors below 10^-10: each is multiplied by 1 + 10^-9 or 1 - 10^-9, whichever is safe, before one
-    is subtracted from another. This also covers squares that vanish in the unit of the largest
-    number: they change a norm by less than 10^-150 units, and one of the three norms is a unit.
+    TINY covers underflow, also of squares that vanish in the unit of the largest number: they
+    change a norm by less than 10^-150 units, and one of the three norms is a unit.
     """
     table = _sample_table(samples)
     with np.errstate(all="ignore"):

@@ -3,13 +3,7 @@
 Input:  :class:`~hamsym.proof.zeros.derivative_balls.DerivativeBalls`, approximate zeros.
 Output: :class:`Root`, with an enclosure in balls.
 
-With g = grad H, its Jacobian J = Hess H on a box Z around c, and any matrix Y, the set
-
-    K = c - Y g(c) + (1 - Y J) (Z - c)
-
-contains every zero of g in Z; if it is in the interior of Z, there is exactly one zero in Z, and it
-is in K (Krawczyk 1969; Moore 1977; Neumaier, Interval Methods for Systems of Equations, 1990,
-theorem 5.1.8). Everything is evaluated with outward rounding in Arb.
+Lemma 29 of examples/guide/how_proofs_work.md, with outward rounding in Arb.
 """
 
 from __future__ import annotations
@@ -76,7 +70,7 @@ def approximate_inverse(rows: list[Balls]) -> arb_mat | None:
 
 
 def krawczyk(system: Block, middle: Balls, box: Balls) -> Balls | None:
-    """The set K of the module's docstring; None where g is not smooth in the box."""
+    """K = c - Y g(c) + (1 - Y J) (Z - c); None where g is not smooth in the box Z."""
     if not all(value.is_finite() for value in system.values(box)):
         return None
     slopes = system.slopes(box)
