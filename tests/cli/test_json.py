@@ -143,7 +143,7 @@ def test_several_trajectories_have_a_verdict_each(capsys: Captured) -> None:
     ("arguments", "status", "message"),
     [
         (["derive", "p^2"], 2, "write ** for powers"),
-        (["solve", OSCILLATOR], 2, "Missing option '--z0'"),
+        (["solve", OSCILLATOR], 2, "--t-end is missing"),
         (["solve", OSCILLATOR, *START, "--methd", "adam"], 2, "--methd"),
         (["solve", OSCILLATOR, *START, "--method", "adma"], 2, "did you mean 'adam'"),
         (["integral"], 2, "No such command 'integral'"),
