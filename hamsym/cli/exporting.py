@@ -118,7 +118,7 @@ def _size(count: int) -> str:
     short_help="Write a report about a saved solution.",
     examples=[
         "hamsym report orbit.hamsym -o report.html",
-        "hamsym report orbit.hamsym --certify",
+        "hamsym report orbit.hamsym --certify --no-compare",
     ],
 )
 @click.argument("file", type=click.Path())
@@ -128,6 +128,7 @@ def _size(count: int) -> str:
     "--certificate", type=click.Path(), metavar="CERTIFICATE", help="[FILE.certificate, if any]"
 )
 @click.option("--certify", is_flag=True, help="Prove a bound on the error now.")
+@click.option("--compare/--no-compare", default=True, help="Compare with integrators  [yes]")
 @click.option(
     "--backend",
     type=click.Choice([name for name in BACKENDS if name != _HIDDEN]),

@@ -81,7 +81,7 @@ _TOPICS = {
     for topic, names in {
         "Windows": "max_window windows train_hidden",
         "Network": "hidden activation envelope tau frequency shared_weights initial dtype device",
-        "Loss": "points energy_weight",
+        "Loss": "points energy_weight invariant_weight",
         "Search for the weights": "stages iterations restarts",
         "Training": "epochs learning_rate betas schedule noise",
         "End of the training": "target_loss target_ell_max accuracy patience time_limit",

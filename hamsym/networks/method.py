@@ -10,13 +10,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from hamsym.codegen.system import System
 from hamsym.errors import InputError
+from hamsym.hamiltonian import Hamiltonian
 from hamsym.networks import levenberg_marquardt, optimizers
 from hamsym.networks.devices import available_device
 from hamsym.networks.methods import LBFGS, Adam, JointTraining, LevenbergMarquardt, SSBroyden
@@ -94,7 +97,11 @@ def solve_by_training(problem: InitialValueProblem, method: JointTraining) -> So
     with training_progress(method.total, problem.progress) as callbacks:
         training = train(
             trial,
-            _objective(problem, method.energy_weight, tuple(method.regularizers)),
+            _objective(
+                H,
+                _penalties(problem, method),
+                tuple(method.regularizers),
+            ),
             problem.span,
             _optimizer(method),
             stopping,
@@ -139,36 +146,63 @@ def _is_accurate(solution: Solution, accuracy: float) -> bool:
     return solution.ell_max_regularized <= solution.sigma_min * accuracy
 
 
-def _objective(
-    problem: InitialValueProblem, weight: float, regularizers: tuple[Regularizer, ...]
-) -> Objective:
-    """Return the objective made of the functions generated for H.
+@dataclass(frozen=True)
+class _Penalty:
+    """The penalty weight * mean((I - I(start))^2) on changes of the energy or an invariant."""
 
-    - weight: Of the penalty on changes of the energy.
-    """
-    H, system = problem.H, problem.H.compile("torch")
-    constants = (problem.energy_0, weight) if H.conserves_energy else ()
-    root = math.sqrt(weight)
+    system: System
+    start: float
+    weight: float
+
+    def change(self, z: Tensor, t: Tensor) -> Tensor:
+        """Return sqrt(weight) * (I - I(start)), shape (K,)."""
+        value = self.system.energy(*self.system.arguments(z, t))
+        return math.sqrt(self.weight) * (value - self.start)
+
+    def slope(self, z: Tensor, t: Tensor) -> Tensor:
+        """Return the derivative of the change in z, shape (K, dim)."""
+        gradient: Tensor = self.system.gradient(*self.system.arguments(z, t))
+        return math.sqrt(self.weight) * gradient
+
+
+def _penalties(problem: InitialValueProblem, method: JointTraining) -> list[_Penalty]:
+    """Return the penalty on the energy, which has weight 0 by default, and those on invariants."""
+    found = [_Penalty(problem.H.compile("torch"), problem.energy_0, method.energy_weight)]
+    functions = problem.invariants.functions if method.invariant_weight else ()
+    for function in functions:
+        exact = function.compile("numpy")
+        start = float(exact.energy(*exact.arguments(problem.z0, problem.span[0])))
+        found.append(_Penalty(function.compile("torch"), start, method.invariant_weight))
+    return found
+
+
+def _objective(
+    H: Hamiltonian, penalties: Sequence[_Penalty], regularizers: tuple[Regularizer, ...]
+) -> Objective:
+    """Return the objective made of the functions generated for H."""
+    system, (energy, *others) = H.compile("torch"), penalties
+    weighted = [*([energy] if energy.weight else []), *others]
 
     def residual(t: Tensor, z: Tensor, dz: Tensor) -> Tensor:
         return system.residual(z, *system.arguments(dz, t))
 
     def loss(t: Tensor, z: Tensor, dz: Tensor) -> Tensor:
+        constants = (energy.start, energy.weight) if H.conserves_energy else ()
         value: Tensor = system.loss(z, *system.arguments(dz, t), *constants)
+        for penalty in others:
+            value = value + penalty.change(z, t).square().mean()
         return value
 
     def rows(t: Tensor, z: Tensor, dz: Tensor) -> Tensor:
+        changes = [penalty.change(z, t).unsqueeze(-1) for penalty in weighted]
         ell = residual(t, z, dz)
-        if not weight:
-            return ell
-        change = root * (system.energy(*system.arguments(z, t)) - problem.energy_0)
-        return torch.cat((ell, change.unsqueeze(-1)), -1)
+        return torch.cat((ell, *changes), -1) if changes else ell
 
     def slopes(t: Tensor, z: Tensor, dz: Tensor) -> tuple[Tensor, Tensor]:
         in_z = -system.jacobian(*system.arguments(z, t))
         in_dz = torch.eye(H.dim, dtype=z.dtype, device=z.device).expand_as(in_z)
-        if weight:
-            own = root * system.gradient(*system.arguments(z, t)).unsqueeze(1)
+        if weighted:
+            own = torch.stack([penalty.slope(z, t) for penalty in weighted], 1)
             in_z = torch.cat((in_z, own), 1)
             in_dz = torch.cat((in_dz, torch.zeros_like(own)), 1)
         return in_z, in_dz

@@ -114,6 +114,11 @@ class JointTraining(Method):
         "Weight of the energy penalty.",
         "The weight lambda of the mean of (H - E0)^2 in the loss (the paper's eq. regLoss).",
     )
+    invariant_weight: float = option(
+        0.0,
+        "Weight of the penalty on changes of invariants.",
+        "Of the mean squared change of each of the ``invariants`` of :func:`hamsym.solve`.",
+    )
     regularizers: Sequence[Regularizer] = option(
         (), "", "Additional terms of the loss, each a :class:`hamsym.Regularizer`."
     )
@@ -179,8 +184,9 @@ class JointTraining(Method):
     def check(self) -> None:
         """Raise InputError if an option is invalid; checks that need a network are left to it."""
         _check_shared(self)
-        weight = self.energy_weight
-        require(weight == 0 or is_positive(weight), "energy_weight", weight, "0 or more")
+        for name in ("energy_weight", "invariant_weight"):
+            weight = getattr(self, name)
+            require(weight == 0 or is_positive(weight), name, weight, "0 or more")
         for name in ("tau", "target_loss", "target_ell_max", "accuracy"):
             if getattr(self, name) is not None:
                 require_positive(name, getattr(self, name))
@@ -220,6 +226,11 @@ class JointTraining(Method):
             raise InputError(
                 f"accuracy={self.accuracy!r} rests on the paper's bound ell_max/sigma_min, which "
                 "needs equations without forces; give solve a tolerance, tol=..."
+            )
+        if self.invariant_weight and not problem.invariants:
+            raise InputError(
+                f"invariant_weight={self.invariant_weight!r} needs invariants; give for example "
+                'invariants=["x*p_y - y*p_x"]'
             )
 
     def solve(self, problem: InitialValueProblem) -> Solution:

@@ -57,7 +57,7 @@ def test_every_rendering_has_the_headline(
 @pytest.mark.slow
 def test_report_has_the_headline_and_every_fact(tmp_path: Path) -> None:
     found = solution()
-    hamsym.report(found, tmp_path / "a.html")
+    hamsym.report(found, tmp_path / "a.html", compare=False)
     text = html.unescape((tmp_path / "a.html").read_text()).replace('<span class="one">', "")
     text = text.replace("</span>", "")
     assert found.facts.headline in text

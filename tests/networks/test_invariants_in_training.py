@@ -1,4 +1,4 @@
-"""The penalty on the energy, and cyclic momenta that are exactly constant."""
+"""Penalties on invariants, and cyclic momenta that are exactly constant."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ import pytest
 import torch
 
 import hamsym
-from hamsym.networks.method import _objective
+from hamsym.errors import InputError
+from hamsym.networks.method import _objective, _penalties
 from hamsym.networks.objective import Objective
+from hamsym.problems.conservation import KnownInvariants
 from hamsym.problems.problem import InitialValueProblem
 from hamsym.solving.methods import made_method
 
 KEPLER = "(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)"
+MOMENTUM = "x*p_y - y*p_x"
 START = [1.0, 0.0, 0.0, 1.2]
 POLAR = "p_r**2/2 + p_phi**2/(2*r**2) - 1/r"
 Z0 = {"r": 1.3, "phi": 0.1, "p_r": 0.1, "p_phi": 1.1}
@@ -28,17 +31,22 @@ QUICK: dict[str, dict[str, Any]] = {
 }
 
 
-def objective(energy_weight: float) -> Objective:
-    return _objective(InitialValueProblem.checked(KEPLER, START, (0, 1)), energy_weight, ())
+def objective(energy_weight: float, weight: float) -> Objective:
+    problem = InitialValueProblem.checked(
+        KEPLER, START, (0, 1), invariants=KnownInvariants(hamsym.Hamiltonian(KEPLER), [MOMENTUM])
+    )
+    method = hamsym.Adam(energy_weight=energy_weight, invariant_weight=weight)
+    return _objective(problem.H, _penalties(problem, method), ())
 
 
-def test_the_penalty_is_the_weighted_square_of_the_change() -> None:
+@pytest.mark.parametrize("energy_weight", [0.0, 0.3])
+def test_the_penalty_is_the_weighted_square_of_the_change(energy_weight: float) -> None:
     generator = torch.Generator().manual_seed(0)
     z, dz = torch.rand(2, 7, 4, generator=generator, dtype=torch.float64) + 0.5
     t = torch.linspace(0, 1, 7, dtype=torch.float64)
-    plain, penalised = objective(0.0), objective(2.5)
+    plain, penalised = objective(energy_weight, 0.0), objective(energy_weight, 2.5)
     x, y, p_x, p_y = z.unbind(-1)
-    change = (p_x**2 + p_y**2) / 2 - 1 / torch.sqrt(x**2 + y**2) + 0.28
+    change = x * p_y - y * p_x - 1.2
     expected = plain(t, z, dz) + 2.5 * change.square().mean()
     assert torch.isclose(penalised(t, z, dz), expected, rtol=1e-13)
     assert penalised.rows is not None
@@ -50,7 +58,7 @@ def test_slopes_of_rows_are_their_derivatives() -> None:
     generator = torch.Generator().manual_seed(1)
     z, dz = torch.rand(2, 5, 4, generator=generator, dtype=torch.float64) + 0.5
     t = torch.linspace(0, 1, 5, dtype=torch.float64)
-    own = objective(2.5)
+    own = objective(0.3, 2.5)
     assert own.rows is not None
     assert own.slopes is not None
     for found, which in zip(own.slopes(t, z, dz), (0, 1), strict=True):
@@ -64,6 +72,20 @@ def test_slopes_of_rows_are_their_derivatives() -> None:
 
             exact = torch.autograd.functional.jacobian(row, (z, dz)[which][k])
             assert torch.allclose(found[k], exact, rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.slow_cases("adam", "ssbroyden", "lbfgs")
+@pytest.mark.parametrize("method", QUICK)
+def test_every_method_takes_the_penalty(method: str) -> None:
+    options = {"hidden": (6,), "points": 10, **QUICK[method]}
+    with_penalty, without = (
+        hamsym.solve(
+            KEPLER, START, (0, 1), method=made_method(method, own | options), invariants=[MOMENTUM]
+        )
+        for own in ({"invariant_weight": 4.0}, {})
+    )
+    assert with_penalty.history.loss[0] != without.history.loss[0]
+    assert set(with_penalty.invariant_drift) == {MOMENTUM}
 
 
 @pytest.mark.slow_cases("adam", "ssbroyden", "levenberg-marquardt")
@@ -113,3 +135,22 @@ def test_cyclic_momenta_of_an_own_network_are_constant(method: str) -> None:
 def test_cyclic_momenta_of_a_march_are_constant() -> None:
     solution = hamsym.solve(POLAR, Z0, (0, 10))
     assert (solution(np.linspace(0, 10, 301))[:, 2] == 1.1).all()
+
+
+@pytest.mark.parametrize(
+    ("weight", "invariants", "sentence"),
+    [
+        (1.0, [], "needs invariants"),
+        (-1.0, [MOMENTUM], "give 0 or more"),
+        (1.0, ["p_x"], "'p_x' is not an invariant"),
+    ],
+)
+def test_unusable_penalties_are_refused(
+    weight: float, invariants: list[str], sentence: str
+) -> None:
+    def solve() -> None:
+        method = hamsym.Adam(epochs=1, invariant_weight=weight)
+        hamsym.solve(KEPLER, START, (0, 1), method=method, invariants=invariants)
+
+    with pytest.raises(InputError, match=sentence):
+        solve()

@@ -64,3 +64,7 @@ def test_zero_invariants_and_functions_of_them_are_accepted() -> None:
 def test_false_invariants_are_refused_before_the_work() -> None:
     with pytest.raises(InputError, match="'p_x' is not an invariant"):
         solved(invariants=["p_x"])
+    with pytest.raises(
+        InputError, match="'invariant_weight' is an option of a method; give method=hamsym."
+    ):
+        solved(invariants=[MOMENTUM], invariant_weight=1.0)

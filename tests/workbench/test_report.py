@@ -17,6 +17,7 @@ import hamsym
 from hamsym import CertificationError, FileError, InputError
 from hamsym.cli.commands import main
 from hamsym.workbench.mathml import mathml
+from hamsym.workbench.reports.comparing import compared_within
 from hamsym.workbench.reports.inline_svg import inline_svg
 
 DUFFING = "p**2/2 + x**2/2 + x**4/4"
@@ -63,7 +64,7 @@ class _Page(HTMLParser):
 
 
 def page_of(solution: Any, folder: Path, **options: Any) -> _Page:
-    hamsym.report(solution, folder / "a.html", **options)
+    hamsym.report(solution, folder / "a.html", **{"compare": False, **options})
     return _Page((folder / "a.html").read_text(encoding="utf-8"))
 
 
@@ -252,10 +253,10 @@ def test_certificate_of_another_solution_is_refused(saved: Path, tmp_path: Path)
     other = hamsym.solve(DUFFING, [1.3, 1.1], (0, 4), tol=1e-7).certify()
     (tmp_path / "orbit.hamsym.certificate").write_text(other.to_json(), encoding="utf-8")
     with pytest.raises(CertificationError, match="does not belong to this solution"):
-        hamsym.report(saved, tmp_path / "a.html")
+        hamsym.report(saved, tmp_path / "a.html", compare=False)
     assert not (tmp_path / "a.html").exists()
     with pytest.raises(CertificationError, match="does not belong"):
-        hamsym.report(saved, tmp_path / "a.html", certificate=other)
+        hamsym.report(saved, tmp_path / "a.html", compare=False, certificate=other)
 
 
 def test_forged_certificate_is_refused(saved: Path, tmp_path: Path) -> None:
@@ -263,19 +264,19 @@ def test_forged_certificate_is_refused(saved: Path, tmp_path: Path) -> None:
     small = dict.fromkeys(("bound", "lower"), 1e-30)
     forged = hamsym.Certificate(**{**vars(genuine), **small})
     with pytest.raises(CertificationError):
-        hamsym.report(saved, tmp_path / "a.html", certificate=forged)
+        hamsym.report(saved, tmp_path / "a.html", compare=False, certificate=forged)
     (tmp_path / "orbit.hamsym.certificate").write_text("{}", encoding="utf-8")
     with pytest.raises(FileError, match="not a certificate"):
-        hamsym.report(saved, tmp_path / "a.html")
+        hamsym.report(saved, tmp_path / "a.html", compare=False)
     (tmp_path / "orbit.hamsym.certificate").write_bytes(b"\xff\xfe")
     with pytest.raises(FileError, match="not a certificate"):
-        hamsym.report(saved, tmp_path / "a.html")
+        hamsym.report(saved, tmp_path / "a.html", compare=False)
     assert not (tmp_path / "a.html").exists()
 
 
 @pytest.mark.slow
 def test_new_proof_is_shown_or_its_refusal(solution: hamsym.Solution, tmp_path: Path) -> None:
-    proof = hamsym.report(solution, tmp_path / "a.html", certify=True)
+    proof = hamsym.report(solution, tmp_path / "a.html", certify=True, compare=False)
     assert proof.certificate.bound < 1e-7
     jump = hamsym.solve("p**2/2 + abs(x)", [1, 0], (0, 5))
     page = page_of(jump, tmp_path, certify=True, time_limit=5)
@@ -290,6 +291,30 @@ def test_proof_that_is_wider_than_asked_is_said(tmp_path: Path) -> None:
     object.__setattr__(asked, "tol", 1e-17)
     page = page_of(failed, tmp_path, certify=True)
     assert "Proven, but not that every error is within what was asked" in page.text
+
+
+# -- comparisons -----------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_comparison_is_shown(solution: hamsym.Solution, tmp_path: Path) -> None:
+    page = page_of(solution, tmp_path, compare=True)
+    for name in ("network", "stormer_verlet", "blanes_moan6", "dop853"):
+        assert name in page.text
+    assert len(page.having("svg")) == 2
+    ids = [attributes["id"] for _, attributes in page.tags if "id" in attributes]
+    assert len(ids) == len({*ids})
+
+
+def test_comparison_ends_with_its_time(solution: hamsym.Solution) -> None:
+    assert "stopped after 0.01 s" in compared_within(solution, 0.01).reason
+
+
+def test_comparison_names_its_failure(
+    solution: hamsym.Solution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hamsym.parallel.processes._START", "raise SystemExit(3)")
+    assert "the process of the computation ended" in compared_within(solution, 60).reason
 
 
 # -- files and arguments ---------------------------------------------------------------------------
@@ -308,7 +333,7 @@ def test_unusable_arguments_are_refused(
     options: dict[str, Any], match: str, solution: hamsym.Solution, tmp_path: Path
 ) -> None:
     with pytest.raises(InputError, match=match):
-        hamsym.report(solution, tmp_path / "a.html", **options)
+        hamsym.report(solution, tmp_path / "a.html", compare=False, **options)
 
 
 def test_unusable_files_are_refused(saved: Path, tmp_path: Path) -> None:
@@ -334,11 +359,11 @@ def test_report_replaces_none_of_its_sources(saved: Path, tmp_path: Path) -> Non
     (tmp_path / "symbolic").symlink_to(saved)
     for name in ("orbit.hamsym", "link", "symbolic", "orbit.hamsym.certificate"):
         with pytest.raises(InputError, match="would replace"):
-            hamsym.report(saved, tmp_path / name)
+            hamsym.report(saved, tmp_path / name, compare=False)
     certificate = tmp_path / "c"
     certificate.write_text("{}", encoding="utf-8")
     with pytest.raises(InputError, match="would replace"):
-        hamsym.report(saved, certificate, certificate=certificate)
+        hamsym.report(saved, certificate, certificate=certificate, compare=False)
     assert saved.read_bytes() == before
 
 
@@ -353,7 +378,7 @@ def test_failed_writing_leaves_the_old_report(
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(FileError, match="No space left on device"):
-        hamsym.report(saved, tmp_path / "a.html")
+        hamsym.report(saved, tmp_path / "a.html", compare=False)
     assert (tmp_path / "a.html").read_text(encoding="utf-8") == "old"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.html", "orbit.hamsym"]
 
@@ -362,7 +387,7 @@ def test_failed_writing_leaves_the_old_report(
 def test_command_writes_beside_the_file(
     saved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["report", str(saved)]) == 0
+    assert main(["report", str(saved), "--no-compare"]) == 0
     assert capsys.readouterr().out.startswith("Not proven: there is no certificate\nwrote ")
     assert (tmp_path / "orbit.html").exists()
     assert main(["report", str(saved), "-o", str(saved)]) == 2
@@ -375,7 +400,7 @@ def test_command_fails_where_nothing_is_proven(
 ) -> None:
     hamsym.solve("p**2/2 + abs(x)", [1, 0], (0, 5)).save(tmp_path / "a")
     output = str(tmp_path / "a.html")
-    options = ["--certify", "--time-limit", "5", "-o", output]
+    options = ["--certify", "--no-compare", "--time-limit", "5", "-o", output]
     assert main(["report", str(tmp_path / "a"), *options]) == 1
     assert "Not proven" in capsys.readouterr().out
     assert "Not proven" in Path(output).read_text(encoding="utf-8")
@@ -385,10 +410,10 @@ def test_command_fails_where_nothing_is_proven(
 def test_names_that_are_no_text_are_written(solution: hamsym.Solution, tmp_path: Path) -> None:
     file = tmp_path / os.fsdecode(b"orbit-\xff.hamsym")
     solution.save(file)
-    hamsym.report(file, tmp_path / "report.html")
+    hamsym.report(file, tmp_path / "report.html", compare=False)
     assert r"orbit-\udcff.hamsym" in (tmp_path / "report.html").read_text("utf-8")
 
 
 def test_too_long_a_name_is_an_error_of_files(solution: hamsym.Solution, tmp_path: Path) -> None:
     with pytest.raises(FileError, match="cannot be written"):
-        hamsym.report(solution, tmp_path / ("x" * 300 + ".html"))
+        hamsym.report(solution, tmp_path / ("x" * 300 + ".html"), compare=False)

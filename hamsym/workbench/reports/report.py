@@ -34,9 +34,11 @@ from hamsym.support.validation import require_positive
 from hamsym.workbench.equations import equations
 from hamsym.workbench.page_templates import page_template
 from hamsym.workbench.reports import contents
+from hamsym.workbench.reports.comparing import Compared, compared_within
 from hamsym.workbench.reports.inline_svg import inline_svg
 
 CERTIFICATE = ".certificate"  # ending of the file beside that of a solution
+_COMPARE_SECONDS = 60.0
 _MOST_LINES = 400  # of generated code
 
 
@@ -48,13 +50,14 @@ def report(
     title: str | None = None,
     certificate: Certificate | str | os.PathLike[str] | None = None,
     certify: bool = False,
+    compare: bool = True,
     backend: str = "numpy",
     time_limit: float | None = None,
 ) -> contents.Proof:
     """Write a report about a solution: one file of HTML that fetches nothing.
 
-    It has the equations, the settings, figures, all statements about the error, a certificate, the
-    generated code, and the lines that compute the solution again.
+    It has the equations, the settings, figures, all statements about the error, a certificate, a
+    comparison with integrators, the generated code, and the lines that compute the solution again.
 
     Parameters
     ----------
@@ -69,6 +72,8 @@ def report(
         It is verified by repeating its proof.
     certify : bool
         Prove a bound on the error now, if there is no certificate.
+    compare : bool
+        Compare with integrators, for at most a minute.
     backend : str
         Language of the generated code that is shown.
     time_limit : float, optional
@@ -93,7 +98,7 @@ def report(
     >>> import hamsym, tempfile
     >>> solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 5))
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     proof = report(solution, folder + "/circle.html", certify=True)
+    ...     proof = report(solution, folder + "/circle.html", certify=True, compare=False)
     ...     text = Path(folder + "/circle.html").read_text("utf-8")
     >>> proof.sentence[:6], "<math" in text, "<script" in text
     ('Proven', True, False)
@@ -109,12 +114,18 @@ def report(
     found = load_solution(file) if file is not None else solution
     assert isinstance(found, Solution)
     proof = _proof(found, file, certificate, certify, time_limit)
+    if compare:
+        compared = compared_within(found, _COMPARE_SECONDS)
+    else:
+        compared = Compared(reason="it was not asked for")
     code, lines = contents.source(found.H, backend, _MOST_LINES)
     text = page_template("report").render(
         title=title or "Solution of Hamilton's equations",
         file=None if file is None else file.name,
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         proof=proof,
+        compared=compared,
+        comparison=Markup(compared.figure),
         code=_colored(code, _LANGUAGES[BACKENDS[backend].extension]),
         code_lines=lines,
         most_lines=_MOST_LINES,
