@@ -140,14 +140,13 @@ class Hamiltonian(SymbolicHamiltonian):
         ParameterError
             If a value is not a finite real number or belongs to no symbol of L.
         InputError
-            If the mass matrix is singular, or the velocities are not found; the message names them.
+            If L is not quadratic in the velocities, or the mass matrix is singular; the message
+            names them.
 
         Examples
         --------
         >>> Hamiltonian.from_lagrangian("m*xdot**2/2 - k*x**2/2")
         Hamiltonian('p_x**2/(2*m) + k*x**2/2', pairs (x, p_x))
-        >>> Hamiltonian.from_lagrangian("-m*c**2*sqrt(1 - xdot**2/c**2)").expr
-        c**2*m*sqrt(1 + p_x**2/(c**2*m**2))
         """
         from hamsym.symbolic.lagrangian import read_lagrangian
 

@@ -9,6 +9,7 @@ import re
 import numpy as np
 import pytest
 import sympy
+from sympy.physics.units import kilogram
 
 import hamsym
 from hamsym import Hamiltonian, InputError
@@ -216,7 +217,9 @@ BAD_EXPRESSIONS = [
     (sympy.Symbol(r"\theta") * sympy.Symbol("p"), "not a usable name"),
     (sympy.Symbol("sin") * sympy.Symbol("p"), "function or constant"),
     (sympy.Function("x")(2 * t) ** 2, "not a plain symbol"),
-    (sympy.IndexedBase("q")[t] * sympy.Symbol("p"), "not a number from 0"),
+    (sympy.IndexedBase("q")[0] * sympy.Symbol("p"), "not a plain symbol"),
+    (sympy.MatrixSymbol("q", 2, 1)[0, 0] * sympy.Symbol("p"), "not a plain symbol"),
+    (sympy.Symbol("p") ** 2 * kilogram, r"is a unit of sympy.*units=\{"),
     (sympy.Integral(t, (t, 0, sympy.Symbol("p"))), "not a plain symbol"),
     (sympy.Sum(sympy.Symbol('"""+evil+"""'), (sympy.Symbol('"""+evil+"""'), 1, 3)), "bound"),
     (sympy.Subs(sympy.sin(t), t, 1) * sympy.Symbol("x"), "bound"),

@@ -106,7 +106,7 @@ class Fit(Saved):
         Probability of a larger chi-square if the model and sigma are right; nan without sigma.
     success : bool or numpy.ndarray
         Whether the estimates are a minimum inside the bounds that the data determine, without
-        another one known that fits as well, by symmetry or from another start, the
+        another one known that fits as well, by symmetry, aliasing or from another start, the
         motion is accurate to a tenth of sigma, and the model fits (p >= 1e-6).
     message : str or numpy.ndarray
     seconds : float

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import special
 
 from hamsym.families.solutions import Solutions
-from hamsym.fitting.rivals import reflected, reflections
+from hamsym.fitting.rivals import aliased, reflected, reflections
 from hamsym.fitting.search import Found, Model
 from hamsym.fitting.uncertainty import Uncertainty
 from hamsym.fitting.unknowns import Unknowns
@@ -79,6 +79,7 @@ def judged(
                     "cannot be estimated"
                 )
             problems += reflected(unknowns, changes, x, uncertainty.low[k], uncertainty.high[k])
+            problems += aliased(model, found, variance, k)
             if rivals := [m for m in found.minima[1:] if not m[1] - squares[k] > 4 * variance[k]]:
                 problems.append(f"another minimum fits as well, {unknowns.text(rivals[0][0])}")
             if observed.known and freedom[k] > 0 and not p_value[k] >= _IMPROBABLE:

@@ -13,19 +13,19 @@ from typing import Any
 
 import sympy
 from sympy.core.function import AppliedUndef
+from sympy.matrices.expressions.matexpr import MatrixElement
 
 from hamsym.errors import InputError, ParameterError, VariableError
 from hamsym.formula.parser import canonical_name, check_name
 from hamsym.support.suggestions import did_you_mean
 from hamsym.symbolic.pairing import natural_order
-from hamsym.symbolic.plain_symbols import plain_name
 
 
 def as_list(symbols: Sequence[str | sympy.Symbol]) -> list[str | sympy.Symbol]:
     """Names or symbols as a list; a single one becomes a list of one."""
     if isinstance(symbols, (str, sympy.Expr)):
         symbols = [symbols]
-    return [plain_name(symbol) or symbol for symbol in symbols]
+    return list(symbols)
 
 
 def quoted(name: str) -> str:
@@ -34,8 +34,8 @@ def quoted(name: str) -> str:
 
 
 def name_of(key: object) -> str:
-    """The name of a symbol, an element of an array or a function of time; other keys as text."""
-    return key.name if isinstance(key, sympy.Symbol) else plain_name(key) or str(key)
+    """The name of a symbol; other keys as text."""
+    return key.name if isinstance(key, sympy.Symbol) else str(key)
 
 
 def real_symbols(symbols: Iterable[sympy.Symbol]) -> dict[sympy.Symbol, sympy.Symbol]:
@@ -77,10 +77,19 @@ def checked_expression(expression: object, kind: str = "a Hamiltonian") -> sympy
         raise InputError(
             f"{kind} must be a str or a sympy expression, not {type(expression).__name__}"
         )
-    undefined = expression.atoms(AppliedUndef, sympy.Derivative, sympy.Integral, sympy.Indexed)
+    undefined = expression.atoms(
+        AppliedUndef, sympy.Derivative, sympy.Integral, sympy.Indexed, MatrixElement
+    )
     if undefined:
         shown = min(str(node) for node in undefined)
         raise VariableError(f"'{shown}' is not a plain symbol; use Symbol('x') for a variable")
+    # Without an import of sympy.physics.units, which is slow.
+    for node in expression.atoms(sympy.AtomicExpr):
+        if type(node).__module__.startswith("sympy.physics.units"):
+            raise InputError(
+                f"'{node}' is a unit of sympy; write plain numbers and symbols, all in one system "
+                'of units, and name the units by units={"x": "m"}'
+            )
     bound = expression.atoms(sympy.Symbol) - expression.free_symbols
     if bound:
         raise VariableError(

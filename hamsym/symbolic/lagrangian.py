@@ -1,7 +1,7 @@
 """Lagrangians: coordinates and velocities among the symbols, momenta and the Hamiltonian.
 
 Input:  a Lagrangian L(q, v, t), as text or as a sympy expression.
-Output: its momenta and H(q, p, t); or L from H.
+Output: its momenta and H(q, p, t).
 """
 
 from __future__ import annotations
@@ -212,7 +212,7 @@ def read_lagrangian(
     duals = [forward.get(symbol, symbol) for symbol in momenta]
     numbers = {sympy.Symbol(name, real=True): value for name, value in values.items()}
     state = {forward.get(symbol, symbol) for symbol in coordinates} | {_TIME}
-    found = legendre_transform(exact, slots, duals, state, numbers, "L")
+    found = legendre_transform(exact, slots, duals, state, numbers)
     back = {new: old for old, new in forward.items()}
     first = derivatives.gradient(exact, slots, derivatives.Effort(exact))
     kept = {symbol.name for symbol in found.free_symbols}
@@ -283,24 +283,3 @@ def _with_fractions(expr: sympy.Expr) -> sympy.Expr:
 
     numbers = {number: decimal(number) for number in expr.atoms(sympy.Float)}
     return expr.xreplace(numbers) if numbers else expr
-
-
-def lagrangian_of(
-    expr: sympy.Expr,
-    q: Sequence[sympy.Symbol],
-    p: Sequence[sympy.Symbol],
-    parameters: Mapping[sympy.Symbol, float],
-) -> tuple[sympy.Expr, tuple[sympy.Symbol, ...]]:
-    """Compute L(q, v, t) of a Hamiltonian in real symbols, and the velocities named as xdot.
-
-    Raise InputError if H has no Lagrangian, or none is found.
-    """
-    rates = tuple(sympy.Symbol(f"{symbol.name}dot", real=True) for symbol in q)
-    taken = {symbol.name for symbol in expr.free_symbols | {*q, *p}}
-    for symbol in rates:
-        if symbol.name in taken:
-            raise VariableError(
-                f"'{symbol.name}' occurs in H and would be a velocity of its Lagrangian; rename it"
-            )
-    state = {*q, _TIME}
-    return legendre_transform(_with_fractions(expr), p, rates, state, parameters, "H"), rates

@@ -1,9 +1,9 @@
-"""Legendre transform: from a Lagrangian to its Hamiltonian, and back.
+"""Legendre transform: from a Lagrangian to its Hamiltonian.
 
-Input:  F(s), a Lagrangian in its velocities or a Hamiltonian in its momenta.
-Output: G(w) = w s - F(s), where w = dF/ds.
+Input:  L(v), a Lagrangian in its velocities.
+Output: H(p) = p v - L(v), where p = dL/dv.
 
-F is quadratic in s: the matrix of second derivatives falls into connected blocks, each of which is
+L is quadratic in v: the matrix of second derivatives falls into connected blocks, each of which is
 inverted exactly.
 """
 
@@ -37,20 +37,16 @@ def legendre_transform(
     duals: Sequence[sympy.Symbol],
     state: Collection[sympy.Symbol] = (),
     parameters: Mapping[sympy.Symbol, float] | None = None,
-    name: str = "L",
 ) -> sympy.Expr:
-    """Compute the Legendre transform G(w) = w s - F(s), where w = dF/ds.
+    """Compute the Legendre transform H(p) = p v - L(v), where p = dL/dv.
 
-    It takes L to H, with velocities s and momenta w, and H to L, with momenta s and velocities w.
-
-    Raise InputError if F is not quadratic in s, or w does not determine s; the message names
+    Raise InputError if L is not quadratic in v, or p does not determine v; the message names
     variables.
 
-    - expr: F, in real symbols.
-    - slots, duals: s and w.
+    - expr: L, in real symbols.
+    - slots, duals: v and p.
     - state: Coordinates and the time; other symbols are constants.
     - parameters: Values, for the comparison at random points.
-    - name: {"L", "H"}. What F is, for messages.
 
     Examples
     --------
@@ -62,44 +58,38 @@ def legendre_transform(
     for step in sorted(steps, key=str):
         if step.free_symbols & {*slots}:
             raise InputError(
-                f"'{step}' in {name} has no regular derivatives in {_kind(name)}; use a smooth "
-                "function"
+                f"'{step}' in L has no regular derivatives in velocities; use a smooth function"
             )
     try:
         with call_limit(MAX_EFFORT, MAX_SECONDS):
-            found = _Transform(expr, slots, duals, state, parameters or {}, name).found()
-            _check_finite(expr, found, parameters or {}, name)
+            found = _Transform(expr, slots, duals, state, parameters or {}).found()
+            _check_finite(expr, found, parameters or {})
             return found
     except CallLimitExceededError:
         listed = ", ".join(symbol.name for symbol in slots)
         raise InputError(
             f"the equations for {listed} take too long to solve symbolically; use coordinates in "
             "which fewer of them are coupled in the kinetic energy, or give numbers for parameters "
-            f"inside {name}, or give {'H' if name == 'L' else 'L'} itself"
+            "inside L, or give H itself"
         ) from None
     except CodeGenerationError:
         raise InputError(
-            f"the derivatives of {name} in {_kind(name)} are too large; write it as a sum of terms "
-            "in fewer variables each"
+            "the derivatives of L in velocities are too large; write it as a sum of terms in fewer "
+            "variables each"
         ) from None
 
 
 def _check_finite(
-    expr: sympy.Expr, found: sympy.Expr, parameters: Mapping[sympy.Symbol, float], name: str
+    expr: sympy.Expr, found: sympy.Expr, parameters: Mapping[sympy.Symbol, float]
 ) -> None:
     """Refuse values of parameters at which a transform for all values is infinite."""
     values = {symbol: sympy.Rational(str(v)) for symbol, v in parameters.items()}
     if found.xreplace(values).has(*_INFINITE) and not expr.xreplace(values).has(*_INFINITE):
         listed = ", ".join(f"{s.name} = {v!r}" for s, v in parameters.items() if found.has(s))
-        singular = "the mass matrix is singular" if name == "L" else "H has no Lagrangian"
         raise InputError(
-            f"{singular} for {listed}: {_kind(name)} have no terms of their own there; give other "
-            f"values, or insert them in {name} and remove the coordinate"
+            f"the mass matrix is singular for {listed}: velocities have no terms of their own "
+            "there; give other values, or insert them in L and remove the coordinate"
         )
-
-
-def _kind(name: str) -> str:
-    return "velocities" if name == "L" else "momenta"
 
 
 class _Transform:
@@ -112,10 +102,8 @@ class _Transform:
         duals: Sequence[sympy.Symbol],
         state: Collection[sympy.Symbol],
         parameters: Mapping[sympy.Symbol, float],
-        name: str,
     ) -> None:
         self.slots, self.state, self.parameters = list(slots), {*state}, parameters
-        self.name = name
         self.duals = dict(zip(slots, duals, strict=True))
         self.expr, self.first, self.second = self._derived(expr)
 
@@ -141,10 +129,7 @@ class _Transform:
         rest = self.expr.xreplace(origin)
         if any(e.has(*self.slots) for e in second.values()) or rest.has(*_INFINITE):
             listed = ", ".join(symbol.name for symbol in self.slots)
-            raise InputError(
-                f"{self.name} is not quadratic in the {_kind(self.name)} {listed}; give "
-                f"{'H' if self.name == 'L' else 'L'} itself"
-            )
+            raise InputError(f"L is not quadratic in the velocities {listed}; give H itself")
         parts = []
         for members in derivatives.connected_blocks(list(second), len(self.slots)):
             block = [self.slots[i] for i in members]
@@ -248,13 +233,8 @@ class _Transform:
         if null:
             pairs = zip(null, block, strict=True)
             combination = str(sympy.Add(*(factor * slot for factor, slot in pairs)))
-        if self.name == "L":
-            return InputError(
-                f"the mass matrix of L is singular: no term is quadratic in {combination}, so that "
-                "momenta do not determine velocities; add its kinetic energy, or remove a "
-                "coordinate that has none"
-            )
         return InputError(
-            f"H has no Lagrangian: no term is quadratic in {combination}, so that velocities do "
-            "not determine momenta"
+            f"the mass matrix of L is singular: no term is quadratic in {combination}, so that "
+            "momenta do not determine velocities; add its kinetic energy, or remove a coordinate "
+            "that has none"
         )

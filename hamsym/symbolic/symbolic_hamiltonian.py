@@ -266,28 +266,6 @@ class SymbolicHamiltonian(Shown):
         return Formulas(equations, self.notation)
 
     @cached_property
-    def lagrangian(self) -> sympy.Expr:
-        """Lagrangian L = p v - H in the coordinates and velocities; that of ``x`` is ``xdot``.
-
-        Raises
-        ------
-        InputError
-            If H has no Lagrangian, as where it is linear in a momentum, or none is found.
-
-        Examples
-        --------
-        >>> from hamsym import Hamiltonian
-        >>> Hamiltonian("p**2/(2*m) - cos(x)").lagrangian
-        m*xdot**2/2 + cos(x)
-        """
-        from hamsym.symbolic.lagrangian import lagrangian_of
-
-        real = self.real_equations
-        given = {symbol: v for symbol, v in real.parameters.values() if v is not None}
-        found, _ = lagrangian_of(real.expr, real.z[: self.dof], real.z[self.dof :], given)
-        return self._own(found)
-
-    @cached_property
     def power(self) -> sympy.Expr:
         """Rate dH/dt of the energy along trajectories, F . dH/dp + (partial H)/(partial t).
 

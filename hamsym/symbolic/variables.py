@@ -23,7 +23,6 @@ from hamsym.symbolic.checks import (
 )
 from hamsym.symbolic.equations import free_symbols
 from hamsym.symbolic.pairing import find_pairs
-from hamsym.symbolic.plain_symbols import with_plain_symbols
 from hamsym.symbolic.switching import with_steps
 
 #: Name of the time variable.
@@ -64,7 +63,6 @@ def assign_variables(
     momentum. Raise ParameterError if a value is not a finite real number or belongs to no symbol.
     """
     text = isinstance(expression, str)
-    expression = with_plain_symbols(expression)
     expr, written = parse_written(expression) if text else (checked_expression(expression), {})
     expr = with_steps(expr)
     symbols = by_name(expr.free_symbols)
@@ -117,7 +115,7 @@ def _named_forces(
         if isinstance(given, str):
             force = parse_expression(given)
         else:
-            force = checked_expression(with_plain_symbols(given), "a force")
+            force = checked_expression(given, "a force")
         replaced = {}
         for name, symbol in by_name(force.free_symbols).items():
             replaced[symbol] = known.setdefault(canonical_name(name), symbol)

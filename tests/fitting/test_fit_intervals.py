@@ -1,4 +1,4 @@
-"""Intervals of curved models, and solutions that fit as well by symmetry."""
+"""Intervals of curved models, and solutions that fit as well: by symmetry or at other speeds."""
 
 from __future__ import annotations
 
@@ -197,3 +197,29 @@ def test_reflected_solutions_are_named() -> None:
     assert hamsym.fit(H, t, {"x**2": data}, bounds=bounds, **arguments).success
     cubed = hamsym.fit(H, t, {"x**3": np.cos(2 * t) ** 3}, bounds={"k": (0, None)}, **arguments)
     assert cubed.success
+
+
+# -- speeds ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("guess", "other"), [(1.0, 6.0), (6.0, 1.0)])
+def test_aliased_frequencies_are_named(guess: float, other: float) -> None:
+    t = np.linspace(0, 20, 12)
+    data = np.cos(t) + np.random.default_rng(3).normal(0, 0.05, 12)
+    flow = Swing(span=(0.0, 20.0))
+    free = {"k": guess, "x": 1.0, "p": 0.0}
+    found = fit_swing(data, 0.05, flow, free=free)
+    assert not found.success
+    assert "data at steps of 1.81818 do not tell this motion from one" in found.message
+    k = float(found.message.split("k = ")[1].split(",")[0])
+    assert k == pytest.approx(other, rel=0.05)
+    np.testing.assert_allclose(np.sqrt([k, found.parameters["k"]]).sum(), 2 * np.pi * 11 / 20)
+    bounds = {"k": (0, 3)} if guess < 3 else {"k": (3, 9)}
+    assert fit_swing(data, 0.05, flow, free=free, bounds=bounds).success
+
+
+def test_irregular_times_have_no_aliases() -> None:
+    t = np.sort(np.random.default_rng(0).uniform(0, 20, 12))
+    data = {"x": np.cos(t) + np.random.default_rng(1).normal(0, 0.05, 12)}
+    flow = Swing(span=(0.0, 20.0))
+    assert hamsym.fit(flow.H, t, data, free=TRUTH, sigma=0.05, flow=flow).success
