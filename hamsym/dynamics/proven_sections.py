@@ -46,6 +46,7 @@ from hamsym.proof.arithmetic.generated import GeneratedFunctions, evaluated, req
 from hamsym.proof.windows.enclose import Enclosure, enclosed
 from hamsym.proof.windows.public_windows import check_enclosure
 from hamsym.support.record_fields import Size, counts
+from hamsym.support.shown import Shown
 from hamsym.symbolic.exact import rational
 from hamsym.symbolic.variables import TIME
 
@@ -65,7 +66,7 @@ _Matrix = list[list[arb]]
 
 
 @dataclass(frozen=True, eq=False)
-class SectionCertificate:
+class SectionCertificate(Shown):
     """Proven crossings of a surface, in the order of the :class:`Section` that has them.
 
     Between the balls of the times there is no other crossing in the span: all are transversal.
@@ -107,6 +108,9 @@ class SectionCertificate:
         shapes = [np.shape(part.mid) for part in (self.t, self.z, self.derivative)]
         if shapes != [(count,), (count, dim), (count, dim, dim)] or not (self.rising <= 1).all():
             raise ValueError("its parts have different numbers of crossings")
+
+    def __repr__(self) -> str:
+        return f"SectionCertificate({self.statement!r})"
 
     def verify(self, section: Section) -> None:
         """Prove a section again, and require that the crossings lie in these balls.

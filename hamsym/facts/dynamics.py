@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from hamsym.dynamics.lyapunov import LyapunovExponents
     from hamsym.dynamics.lyapunov_map import LyapunovMap
     from hamsym.dynamics.normal_forms import NormalForm
+    from hamsym.dynamics.proven_sections import SectionCertificate
     from hamsym.dynamics.sections import Section
 
 _WIDE = 4  # exponents and components in a short table
@@ -174,6 +175,19 @@ def _normal_form(form: NormalForm) -> Facts:
             Fact("resonances", "resonant terms left", form.resonances, listed),
             Fact("domain", "estimated domain", form.domain, f"{form.domain:.3g}"),
         ),
+    )
+
+
+def _section_certificate(proven: SectionCertificate) -> Facts:
+    balls = [ball_text(m, r) for m, r in zip(proven.t.mid, proven.t.radius, strict=True)]
+    names = [str(k + 1) for k in range(len(balls))]
+    table = Table("crossings", names, (Column("t", balls),), "crossing")
+    return Facts(
+        "SectionCertificate",
+        proven.statement,
+        success=True,
+        verdict="proven",
+        entries=(table, time_fact(proven.seconds)),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hamsym.facts.facts import Column, Fact, Facts, Formula, Table
 from hamsym.facts.wording import counted, formulas_of, listed, problem_facts
@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from hamsym.hamiltonian import Hamiltonian
     from hamsym.symbolic.equations import Equations
     from hamsym.symbolic.invariant import Invariant, Invariants
+    from hamsym.transformations.regularization import Regularization
+    from hamsym.transformations.transformation import Transformation
 
 _DERIVED = 2_000  # operations of an H whose equations of motion are derived for a description
 
@@ -35,6 +37,26 @@ def _hamiltonian(H: Hamiltonian) -> Facts:
         *problem_facts(H),
     )
     return Facts("Hamiltonian", ", ".join(words), formulas=formulas, given=given)
+
+
+def _transformation(found: Transformation) -> Facts:
+    return _changed(found, "the same motion in other variables")
+
+
+def _regularization(found: Regularization) -> Facts:
+    return _changed(found, f"the same motion in another time; {found.time} is that of the original")
+
+
+def _changed(found: Any, headline: str) -> Facts:
+    """The new Hamiltonian, and the old variables in the new ones."""
+    H = found.H
+    maps = tuple(
+        Formula(name, expr, H.notation.text(expr), H.notation)
+        for name, expr in found.formulas.items()
+    )
+    given = problem_facts(H)
+    kind = type(found).__name__
+    return Facts(kind, headline, formulas=(*formulas_of(H), *maps), given=given)
 
 
 def _equations_of(equations: Formulas) -> tuple[Formula, ...]:

@@ -31,6 +31,7 @@ import sympy
 from hamsym.codegen.functions import compile_observable
 from hamsym.errors import InputError, VariableError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
+from hamsym.support.shown import Shown
 from hamsym.support.suggestions import checked_keywords, require_known, suggest_attributes
 from hamsym.symbolic.checks import name_of
 from hamsym.symbolic.exact import rational
@@ -48,7 +49,7 @@ Formulas = dict[str, sympy.Expr]
 
 @suggest_attributes
 @dataclass(frozen=True)
-class Regularization:
+class Regularization(Shown):
     """A Hamiltonian in extended phase space, from :meth:`hamsym.Hamiltonian.regularized`.
 
     Its time is s, and the time of the original is its component ``time``.

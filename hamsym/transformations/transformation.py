@@ -18,6 +18,7 @@ from hamsym.codegen.functions import compile_observable
 from hamsym.errors import InputError, VariableError
 from hamsym.formula.parser import canonical_name, check_name, parse_expression
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
+from hamsym.support.shown import Shown
 from hamsym.support.suggestions import checked_keywords, did_you_mean, suggest_attributes
 from hamsym.symbolic.checks import checked_expression, name_of
 from hamsym.symbolic.exact import rational
@@ -40,7 +41,7 @@ _NEAR = 64 * float(np.finfo(float).eps)  # relative distance of a solution
 
 @suggest_attributes
 @dataclass(frozen=True)
-class Transformation:
+class Transformation(Shown):
     """A canonical transformation of a Hamiltonian, from :meth:`hamsym.Hamiltonian.transformed`.
 
     Attributes

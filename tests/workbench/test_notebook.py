@@ -146,6 +146,26 @@ MADE: dict[str, tuple[Callable[[], Any], list[str]]] = {
         lambda: hamsym.section(OSCILLATOR, [0, 1], (0, 50), "x = 0, p > 0"),
         ["7 crossings of x = 0, p &gt; 0"],
     ),
+    "SectionCertificate": (
+        lambda: hamsym.section(OSCILLATOR, [0, 1], (0, 9), "x = 0, p > 0", prove=True).certificate,
+        ["proven", "the exact solution of the start crosses"],
+    ),
+    "Frequencies": (
+        lambda: hamsym.solve(OSCILLATOR, [0, 1], (0, 60)).frequencies(),
+        ["frequency", "amplitude"],
+    ),
+    "NormalForm": (
+        lambda: hamsym.equilibria("p**2/2 - cos(x)")[0].normal_form(4),
+        ["Dirichlet", "I_1**2"],
+    ),
+    "Transformation": (
+        lambda: Hamiltonian("p**2/2 + x**2/2").transformed({"x": "X/2"}),
+        ["the same motion", "<math"],
+    ),
+    "Regularization": (
+        lambda: Hamiltonian("(p_x**2+p_y**2)/2 - 1/sqrt(x**2+y**2)").regularized("levi-civita"),
+        ["another time", "<math"],
+    ),
     "Equilibria": (lambda: HENON.equilibria(), ["4 equilibria", "centre"]),
     "Equilibrium": (lambda: HENON.equilibria()[0], ["centre"]),
     "Invariant": (
