@@ -117,6 +117,8 @@ _ELSEWHERE = {
 def keyword_message(name: str, function: str, arguments: Sequence[str]) -> str:
     """Return the sentence about a keyword that a function does not have."""
     begin = f"'{name}' is not an argument of {function}"
+    if name == "rtol" and "tol" not in arguments and "dt" in arguments:
+        return f"{begin}; give dt=... or steps=..."
     if name in _ELSEWHERE:
         return f"{begin}; {_ELSEWHERE[name]}"
     hint = did_you_mean(name, arguments)
