@@ -83,7 +83,7 @@ class Regularization(Shown):
         Raises
         ------
         InputError
-            If H is not finite at the state, as in a collision.
+            If H is not finite at the state, as in a collision, or dt/ds is not positive there.
         """
         original, dof = self.original, self.H.dof
         z = original.state_from(z0)
@@ -97,7 +97,11 @@ class Regularization(Shown):
             values |= self._lifted(values)
         momentum = self.H.names[dof + self.H.names.index(self.time)]
         values |= {self.time: float(t), momentum: -energy}
-        return self.H.state_from({name: values[name] for name in self.H.names})
+        found = self.H.state_from({name: values[name] for name in self.H.names})
+        rate = float(self.H.compile("numpy").vector_field(found)[self.H.names.index(self.time)])
+        if not rate > 0:
+            raise InputError(f"dt/ds is {rate:g} at the start; give a formula that is positive")
+        return found
 
     def to_old(self, z: Any) -> tuple[np.ndarray, np.ndarray]:
         """Compute the times, shape (...), and the states of the original, shape (..., dim).

@@ -51,11 +51,14 @@ class Transformation(Shown):
     original : Hamiltonian
     formulas : mapping of str to sympy.Expr
         Each old variable, of those that change, in the new variables.
+    positive : tuple of str
+        New variables that stay above zero: H holds only there.
     """
 
     H: Hamiltonian
     original: Hamiltonian
     formulas: Mapping[str, sympy.Expr]
+    positive: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return f"Transformation({self.original.formulas!r} -> {self.H.formulas!r})"
@@ -162,7 +165,7 @@ class Transformation(Shown):
         rest = self._values(z, t) - row
         for _ in range(_ITERATIONS):
             if np.abs(rest).max() <= room:
-                return z
+                return self._allowed(z)
             with np.errstate(all="ignore"):
                 slopes = np.array([float(f(z, t)) for f in self._functions[dim:]])
             try:
@@ -177,8 +180,13 @@ class Transformation(Shown):
                     z, rest = trial, after
                     break
             else:
-                return z if np.abs(rest).max() <= 16 * room else None
+                return self._allowed(z) if np.abs(rest).max() <= 16 * room else None
         return None
+
+    def _allowed(self, z: np.ndarray) -> np.ndarray | None:
+        """The state, unless a variable that is positive is not."""
+        places = [self.H.names.index(name) for name in self.positive]
+        return z if (z[places] > 0).all() else None
 
 
 @checked_keywords
@@ -393,7 +401,7 @@ def _with_hamiltonian(H: Hamiltonian, found: CanonicalMap, plain: Any) -> Transf
         forces=forces,
     )
     formulas = {s.name: plain(f) for s, f in zip(found.old, found.formulas, strict=True)}
-    return Transformation(new, H, formulas)
+    return Transformation(new, H, formulas, tuple(s.name for s in found.new if s.is_positive))
 
 
 def _pair(H: Hamiltonian, coordinate: str) -> str:

@@ -136,6 +136,11 @@ def test_what_is_not_regularized(
         Hamiltonian.of(H).regularized(*arguments, **options)
 
 
+def test_a_time_that_does_not_run_forward_is_refused() -> None:
+    with pytest.raises(InputError, match="dt/ds is -1 at the start"):
+        Hamiltonian(PLANE).regularized(sundman="x").start([-1, 0, 0, 1])
+
+
 def test_a_start_in_a_collision_is_refused() -> None:
     with pytest.raises(InputError, match="no collision"):
         Hamiltonian(PLANE).regularized("levi-civita").start([0, 0, 1, 0])

@@ -190,6 +190,14 @@ def test_forces_need_coordinates_alone() -> None:
         H.transformed({"x": "P", "p": "-Q"}, new={"Q": "P"})
 
 
+def test_variables_that_are_positive_stay_so() -> None:
+    found = Hamiltonian(KEPLER).transformed(POLAR, positive="r")
+    random = np.random.default_rng(2)
+    for z0 in random.uniform(-2, 2, (40, 4)):
+        r = found.to_new(z0)[found.H.names.index("r")]
+        assert r == pytest.approx(np.hypot(*z0[:2]))
+
+
 def test_states_without_new_variables() -> None:
     found = Hamiltonian(OSCILLATOR).transformed({"x": "exp(X)"})
     with pytest.raises(InputError, match="no new variables are found for"):
