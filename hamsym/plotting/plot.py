@@ -49,7 +49,7 @@ def plot(result: Any, *args: Any, **options: Any) -> Figure:
     >>> import hamsym
     >>> figure = plot(hamsym.integrate("p**2/2 + x**2/2", [1, 0], (0, 10)))
     >>> [axis.get_ylabel() for axis in figure.axes]
-    ['$x$', '$p$', '$p$', '$|H - H_0|$']
+    ['$x$', '$p$', '$p$', '$|H - H_0|$', 'energy']
     """
     draw = function_of(result, _figures())
     if draw is not None:
