@@ -12,6 +12,7 @@ and its shifts are subtracted (Sidlichovsky & Nesvorny 1996, Celest. Mech. 65, 1
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -215,7 +216,7 @@ def time_average(result: Solution | Trajectory, f: Any) -> Average:
     if source.shape:
         raise InputError("the average is that of one trajectory; take one of the ensemble")
     signal = _signal(source.H, f, scaled=False)
-    values = source.sampled((), signal).real
+    values = source.sampled((), signal, source.accuracy(()))[1].real
     half = len(values) // 2
     whole, first, second = (
         _weighted(part) for part in (values, values[: half + 1], values[len(values) - half - 1 :])
@@ -270,19 +271,17 @@ class _Source:
     accuracy: Callable[[tuple[int, ...]], float]
     fixed: bool
 
-    def sampled(self, place: tuple[int, ...], signal: _Signal) -> np.ndarray:
-        """The signal at equal steps, as many as its spectrum needs."""
-        count = _FEWEST
+    def sampled(
+        self, place: tuple[int, ...], signal: _Signal, accuracy: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Times at equal steps and the signal there, as many as its spectrum needs."""
+        count, tail = _FEWEST, max(_TAIL, accuracy)
         while True:
             t, z = self.states(place, count)
             values = np.asarray(signal.value(z, t))
-            tail = max(_TAIL, self.accuracy(place))
             if self.fixed or count >= _MOST or _is_resolved(values, tail):
-                return values
+                return t, values
             count *= 2
-
-    def times(self, place: tuple[int, ...], count: int) -> np.ndarray:
-        return self.states(place, count)[0] if self.fixed else np.linspace(*self.span, count)
 
 
 def _is_resolved(values: np.ndarray, tail: float) -> bool:
@@ -303,29 +302,23 @@ def _window(count: int) -> np.ndarray:
 def _source_of(result: Any) -> _Source:
     if isinstance(result, Trajectory):
         return _source_of_trajectory(result)
-    if isinstance(result, Solutions):
-        shape, z0 = result.shape, np.asarray(result.z0)
+    if isinstance(result, (Solution, Solutions)):
 
-        def member(place: tuple[int, ...], count: int) -> tuple[np.ndarray, np.ndarray]:
+        @functools.lru_cache(maxsize=1)  # a member is made anew each time
+        def member(place: tuple[int, ...]) -> Solution:
+            return result[place] if isinstance(result, Solutions) else result
+
+        def states(place: tuple[int, ...], count: int) -> tuple[np.ndarray, np.ndarray]:
             t = np.linspace(*result.span, count)
-            return t, np.asarray(result[place](t))
-
-        return _Source(
-            result.H, z0, result.span, shape, member, lambda p: _accuracy(result[p]), fixed=False
-        )
-    if isinstance(result, Solution):
-
-        def states(_: tuple[int, ...], count: int) -> tuple[np.ndarray, np.ndarray]:
-            t = np.linspace(*result.span, count)
-            return t, np.asarray(result(t))
+            return t, np.asarray(member(place)(t))
 
         return _Source(
             result.H,
             np.asarray(result.z0),
             result.span,
-            (),
+            result.shape if isinstance(result, Solutions) else (),
             states,
-            lambda _: _accuracy(result),
+            lambda place: _accuracy(member(place)),
             fixed=False,
         )
     raise InputError(
@@ -364,10 +357,10 @@ def _analysed(
     source: _Source, place: tuple[int, ...], signal: _Signal, count: int
 ) -> tuple[np.ndarray, float]:
     """Rows frequency, amplitude, phase, error and drift of the terms found, and the rest."""
-    values = source.sampled(place, signal)
+    accuracy = source.accuracy(place)
+    times, values = source.sampled(place, signal, accuracy)
     if not np.isfinite(values).all():
         return np.empty((5, 0)), math.nan
-    times = source.times(place, len(values))
     if times[0] > times[-1]:
         times, values = times[::-1], values[::-1]
     middle, half = (times[0] + times[-1]) / 2, abs(times[-1] - times[0]) / 2
@@ -392,7 +385,7 @@ def _analysed(
     size = float(sizes.max())
     # Terms that are not found shift the maxima of the halves more than those of the whole. The
     # error of the states acts as a change of the phase over the span.
-    error = np.abs(shifts) + away + source.accuracy(place) * size / sizes
+    error = np.abs(shifts) + away + accuracy * size / sizes
     error += _ROUND_OFF * (1 + np.abs(omega))
     phase = np.angle(corrected.amplitude) - omega * middle / half
     rows = np.array(

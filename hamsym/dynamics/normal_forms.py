@@ -21,7 +21,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -32,7 +32,7 @@ from hamsym.dynamics.equilibrium import Equilibrium
 from hamsym.errors import CertificationError, InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof.arithmetic.ball import Ball
-from hamsym.proof.arithmetic.balls import above, working
+from hamsym.proof.arithmetic.balls import float_balls, working
 from hamsym.proof.arithmetic.functions import Arithmetic, SingularityError
 from hamsym.proof.arithmetic.generated import GeneratedFunctions
 from hamsym.proof.zeros.derivative_balls import DerivativeBalls
@@ -298,7 +298,8 @@ class _Construction:
     def __init__(self, H: Hamiltonian, equilibrium: Equilibrium, degree: int) -> None:
         self._H, self._equilibrium, self._degree = H, equilibrium, degree
         self._dof = H.dof
-        self._point = _point(H, equilibrium.z)
+        self._balls = DerivativeBalls(H)
+        self._point = _point(self._balls, equilibrium.z)
         self._omega, self._basis = self._modes()
 
     def normal_form(self) -> NormalForm:
@@ -330,11 +331,12 @@ class _Construction:
         for chi_s in reversed(generators):
             back = [self._moved(one, -chi_s) for one in back]
         stable, statement = self._stability(coefficients)
+        balls = {powers: float_balls([value]) for powers, value in coefficients.items()}
         found = NormalForm(
             self._equilibrium,
             self._degree,
-            Ball(*_parts(self._omega)),
-            {p: Ball(*(float(a) for a in _parts([v])[:, 0])) for p, v in coefficients.items()},
+            Ball(*map(np.array, float_balls(self._omega))),
+            {p: Ball(m[0], r[0]) for p, (m, r) in balls.items()},
             tuple(sorted(resonances)),
             stable,
             statement,
@@ -343,22 +345,16 @@ class _Construction:
             [_Polynomial(one) for one in back],
             np.array([[complex(v) for v in row] for row in self._basis]),
         )
-        object.__setattr__(found, "domain", _domain(self._H, found))
-        return found
+        return replace(found, domain=_domain(self._H, found))
 
     def _modes(self) -> tuple[list[arb], list[list[acb]]]:
         """Signed frequencies, and the columns u_k and i conj(u_k) with u^T J i conj(u) = 1."""
         dof, dim = self._dof, 2 * self._dof
-        functions = GeneratedFunctions(self._H, Arithmetic())
-        rows = [[arb(0)] * dim for _ in range(dim)]
-        entries = functions("hessian", self._point, arb(0))
-        for (i, j), value in entries.items():
-            rows[i][j] = rows[j][i] = arb(value)
+        rows = self._balls.hessian(self._point)
         matrix = [rows[dof + k] for k in range(dof)]
         matrix += [[-value for value in rows[k]] for k in range(dof)]
-        pairs = [
-            (i % dof, j % dof) for (i, j), value in entries.items() if not arb(value).is_zero()
-        ]
+        indices = itertools.product(range(dim), repeat=2)
+        pairs = [(i % dof, j % dof) for i, j in indices if not rows[i][j].is_zero()]
         omega: list[arb] = []
         columns: list[list[acb]] = []
         for block in connected_blocks([*pairs, *((k, k) for k in range(dof))], dof):
@@ -374,8 +370,10 @@ class _Construction:
             for k, value in enumerate(values):
                 if not (value.imag > 0):
                     continue
-                # An isolated eigenvalue near the axis lies on it: so does -conj of it.
-                if not value.real.contains(0):
+                # With an eigenvalue -conj of it is one: the same, if its ball meets no other.
+                mirrored = -value.conjugate()
+                others = (other for i, other in enumerate(values) if i != k)
+                if not value.real.contains(0) or any(map(mirrored.overlaps, others)):
                     raise CertificationError(
                         "the linearised motion is not bounded: an eigenvalue has a real part"
                     )
@@ -483,21 +481,15 @@ def _vectors(order: int) -> Iterator[tuple[int, int]]:
                 yield a, b
 
 
-def _point(H: Hamiltonian, z: np.ndarray) -> list[arb]:
+def _point(balls: DerivativeBalls, z: np.ndarray) -> list[arb]:
     """The equilibrium: exactly, or in more digits than those of float64."""
-    balls, exact = DerivativeBalls(H), [arb(value) for value in z.tolist()]
+    exact = [arb(value) for value in z.tolist()]
     if all(slope == 0 for slope in balls.gradient(exact)):
         return exact
     root = enclosed_root(balls, z.tolist(), np.maximum(np.abs(z), 1e-3).tolist())
     if root is None:
         raise CertificationError("the equilibrium is not proven; a normal form needs its enclosure")
     return list(root.enclosure)
-
-
-def _parts(values: Sequence[arb]) -> np.ndarray:
-    """Mid-points and radii around them in float64, shape (2, n)."""
-    middle = [float(v.mid()) for v in values]
-    return np.array([middle, [above(abs(v - arb(m))) for v, m in zip(values, middle, strict=True)]])
 
 
 def _domain(H: Hamiltonian, form: NormalForm) -> float:

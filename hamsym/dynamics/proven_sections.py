@@ -40,7 +40,7 @@ from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.problems.surface import Surface, parse_surface
 from hamsym.proof.arithmetic.ball import Ball
-from hamsym.proof.arithmetic.balls import above, below, working
+from hamsym.proof.arithmetic.balls import above, below, float_balls, matrix_of, vector_of, working
 from hamsym.proof.arithmetic.functions import BALLS, SingularityError
 from hamsym.proof.arithmetic.generated import GeneratedFunctions, evaluated, require_smooth
 from hamsym.proof.windows.enclose import Enclosure, enclosed
@@ -348,7 +348,7 @@ class _Path:
         with working(_BITS):
             self._formulas = _Formulas(H, where)
             # From the exact start, which may lie on the surface.
-            self._at_start = self._formulas.surface(_vector(start), arb(span[0]))[0]
+            self._at_start = self._formulas.surface(vector_of(start), arb(span[0]))[0]
 
     def crossings(self) -> list[_Crossing]:
         """All crossings, in the direction of time."""
@@ -376,7 +376,7 @@ class _Path:
         )
 
     def _value(self, t: float) -> arb:
-        return self._formulas.surface(_vector(self._enclosure(t)), arb(t))[0]
+        return self._formulas.surface(vector_of(self._enclosure(t)), arb(t))[0]
 
     def _edges(self) -> list[float]:
         """The ends of the windows of the enclosure, ascending."""
@@ -421,7 +421,7 @@ class _Path:
         middle = low + (high - low) / 2
         time = arb(low).union(arb(high))
         elapsed = time - arb(middle)
-        before = _vector(self._enclosure(middle))
+        before = vector_of(self._enclosure(middle))
         try:
             around = before
             for _ in range(_TRIALS):
@@ -492,7 +492,7 @@ class _Path:
 
     def _derivative(self, part: _Part) -> _Matrix:
         """dz/dz0 over the times of a part: M in M(m) + [-d, d] DF(Z) M."""
-        before = _matrix(self._enclosure.derivative(part.middle))
+        before = matrix_of(self._enclosure.derivative(part.middle))
         slopes = self._formulas.slopes(part.z, part.time)
         around = before
         for _ in range(_TRIALS):
@@ -526,24 +526,14 @@ def _product(first: _Matrix, second: _Matrix) -> _Matrix:
     return [[_dot(row, column) for column in columns] for row in first]
 
 
-def _vector(ball: Ball) -> _Vector:
-    return [arb(m, r) for m, r in zip(ball.mid.tolist(), ball.radius.tolist(), strict=True)]
-
-
-def _matrix(ball: Ball) -> _Matrix:
-    rows = zip(ball.mid.tolist(), ball.radius.tolist(), strict=True)
-    return [[arb(m, r) for m, r in zip(*row, strict=True)] for row in rows]
-
-
 def _flat(ball: Ball) -> _Vector:
-    return _vector(Ball(np.ravel(ball.mid), np.ravel(ball.radius)))
+    return vector_of(Ball(np.ravel(ball.mid), np.ravel(ball.radius)))
 
 
 def _stacked(entries: Sequence[Any], shape: tuple[int, ...]) -> Ball:
     """Balls of float64 around nested lists of balls, shape (n, *shape)."""
     flat: list[arb] = np.array(entries, dtype=object).ravel().tolist()
     with working(_BITS):
-        middle = [float(entry.mid()) for entry in flat]
-        radius = [above(abs(e - arb(m))) for e, m in zip(flat, middle, strict=True)]
+        middle, radius = float_balls(flat)
     form = (len(entries), *shape)
     return Ball(np.array(middle, dtype=float).reshape(form), np.array(radius).reshape(form))

@@ -36,7 +36,7 @@ from hamsym.orbits.proven_stability import proven_attraction, proven_stability
 from hamsym.orbits.search import vector_field_at
 from hamsym.orbits.symmetry import SignedPermutation, is_unchanged
 from hamsym.proof.arithmetic.ball import Ball
-from hamsym.proof.arithmetic.balls import above, working
+from hamsym.proof.arithmetic.balls import above, float_balls, matrix_of, vector_of, working
 from hamsym.proof.arithmetic.directed import UNDERFLOW, up
 from hamsym.proof.arithmetic.float64_arithmetic import require_float64
 from hamsym.proof.arithmetic.functions import BALLS, SingularityError
@@ -175,9 +175,9 @@ class _Proof:
             end = enclosure.span[1]
             found.ends.append(enclosure(end))
             if derivatives_too:
-                found.maps.append(_matrix(enclosure.derivative(end)))
+                found.maps.append(matrix_of(enclosure.derivative(end)))
                 if self._free:
-                    found.rates.append(_matrix(enclosure.parameter_derivative(end)))
+                    found.rates.append(matrix_of(enclosure.parameter_derivative(end)))
         return found
 
     def _piece(self, k: int, start: Ball, period: Ball) -> Enclosure:
@@ -192,7 +192,7 @@ class _Proof:
         rows: list[arb] = []
         for k in range(self.pieces - 1):
             rows += _difference(found.ends[k], self._states[k + 1])
-        rows += self._closed(_vector(found.ends[-1]), [arb(v) for v in self._states[0].tolist()])
+        rows += self._closed(vector_of(found.ends[-1]), [arb(v) for v in self._states[0].tolist()])
         if self._closing.first is None and self._problem.autonomous:
             rows.append(arb(0))  # the plane goes through the numerical start
         if self._problem.conservative and self._problem.energy is not None:
@@ -262,7 +262,7 @@ class _Proof:
 
     def _start(self, radii: np.ndarray) -> list[arb]:
         """The first states of all unknowns within radii."""
-        return _vector(Ball(self._states[0], self._spread(radii)))
+        return vector_of(Ball(self._states[0], self._spread(radii)))
 
     def _gradient(self, states: list[arb]) -> list[arb]:
         """grad H over a ball of states, where energy is conserved."""
@@ -331,7 +331,7 @@ class _Proof:
         if not self._problem.conservative or self._closing.first is not None:
             return
         turned = _turned(self._closing.shift, self._start(radii))
-        between = [a.union(b) for a, b in zip(turned, _vector(found.ends[-1]), strict=True)]
+        between = [a.union(b) for a, b in zip(turned, vector_of(found.ends[-1]), strict=True)]
         slope = self._gradient(between)[self._left_out]
         if not (slope.is_finite() and not slope.contains(0)):
             raise CertificationError("the derivative of H across the orbit may be zero")
@@ -442,23 +442,12 @@ def _field(orbit: PeriodicOrbit) -> np.ndarray:
     return np.asarray(weight / np.abs(weight).max())
 
 
-def _vector(ball: Ball) -> list[arb]:
-    return [arb(m, r) for m, r in zip(ball.mid.tolist(), ball.radius.tolist(), strict=True)]
-
-
-def _matrix(ball: Ball) -> list[list[arb]]:
-    return [
-        [arb(m, r) for m, r in zip(*row, strict=True)]
-        for row in zip(ball.mid.tolist(), ball.radius.tolist(), strict=True)
-    ]
-
-
 def _turned(shift: SignedPermutation, states: list[arb]) -> list[arb]:
     return [sign * states[i] for i, sign in zip(shift.places, shift.signs, strict=True)]
 
 
 def _difference(end: Ball, state: np.ndarray) -> list[arb]:
-    return [a - arb(b) for a, b in zip(_vector(end), state.tolist(), strict=True)]
+    return [a - arb(b) for a, b in zip(vector_of(end), state.tolist(), strict=True)]
 
 
 def _product(matrix: list[list[arb]], basis: np.ndarray) -> list[list[arb]]:
@@ -467,12 +456,6 @@ def _product(matrix: list[list[arb]], basis: np.ndarray) -> list[list[arb]]:
 
 
 def _ball(matrix: arb_mat) -> Ball:
-    rows, columns = matrix.nrows(), matrix.ncols()
-    middle = np.array([[float(matrix[i, j].mid()) for j in range(columns)] for i in range(rows)])
-    radius = np.array(
-        [
-            [above(abs(matrix[i, j] - arb(middle[i, j]))) for j in range(columns)]
-            for i in range(rows)
-        ]
-    )
-    return Ball(middle, radius)
+    shape = matrix.nrows(), matrix.ncols()
+    middle, radius = float_balls(matrix.entries())
+    return Ball(np.array(middle).reshape(shape), np.array(radius).reshape(shape))

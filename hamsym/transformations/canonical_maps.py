@@ -15,16 +15,21 @@ ed., chapter 9).
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
+import numpy as np
 import sympy
 
+from hamsym.codegen.functions import compile_observable
 from hamsym.errors import CodeGenerationError, InputError
 from hamsym.formula.effort_limit import CallLimitExceededError, call_limit
+from hamsym.hamiltonian import Hamiltonian
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.brackets import poisson_bracket
+from hamsym.symbolic.exact import rational
 from hamsym.symbolic.rational_matrices import inverse_matrix
 from hamsym.symbolic.variables import TIME
 
@@ -97,7 +102,7 @@ def point_map(old: Symbols, new: Symbols, coordinates: Sequence[sympy.Expr]) -> 
         ]
         rate = [sympy.diff(f, _TIME) for f in coordinates]
         rest = -sympy.Add(*(p * v for p, v in zip(found, rate, strict=True)))
-    return CanonicalMap(tuple(old), tuple(new), (*coordinates, *found), shorter(rest))
+    return _canonical(CanonicalMap(tuple(old), tuple(new), (*coordinates, *found), shorter(rest)))
 
 
 def full_map(old: Symbols, new: Symbols, formulas: Sequence[sympy.Expr]) -> CanonicalMap:
@@ -105,8 +110,7 @@ def full_map(old: Symbols, new: Symbols, formulas: Sequence[sympy.Expr]) -> Cano
 
     Raise InputError if it is not canonical, or the term of its time is not found.
     """
-    found = CanonicalMap(tuple(old), tuple(new), tuple(formulas), sympy.Integer(0))
-    require_canonical(found)
+    found = _canonical(CanonicalMap(tuple(old), tuple(new), tuple(formulas), sympy.Integer(0)))
     with limited("the term of the time"):
         return replace(found, rest=_integrated(_slopes_of_rest(formulas, new), new))
 
@@ -148,15 +152,15 @@ def generated_map(kind: str, function: sympy.Expr, old: Symbols, new: Symbols) -
         formulas = [shorter(complete[0][v]) for v in old]
         # K = H + dF/dt at fixed arguments
         rest = sympy.diff(function, _TIME).xreplace(dict(zip(old, formulas, strict=True)))
-    return CanonicalMap(tuple(old), tuple(new), tuple(formulas), shorter(rest))
+    return _canonical(CanonicalMap(tuple(old), tuple(new), tuple(formulas), shorter(rest)))
 
 
 def _is_complex(solution: Mapping[sympy.Symbol, sympy.Expr]) -> bool:
     return any(value.has(sympy.I, sympy.Piecewise, sympy.RootOf) for value in solution.values())
 
 
-def require_canonical(found: CanonicalMap) -> None:
-    """Require that a map is canonical, decided by its Poisson brackets in symbols.
+def _canonical(found: CanonicalMap) -> CanonicalMap:
+    """The map, which must be canonical: that is decided by its Poisson brackets in symbols.
 
     Raises
     ------
@@ -178,6 +182,7 @@ def require_canonical(found: CanonicalMap) -> None:
                 f"the transformation is not canonical: {names} is {bracket} in the new variables, "
                 f"not {expected}"
             )
+    return found
 
 
 def _slopes_of_rest(formulas: Sequence[sympy.Expr], new: Symbols) -> list[sympy.Expr]:
@@ -229,13 +234,44 @@ def transformed(expr: sympy.Expr, found: CanonicalMap) -> sympy.Expr:
     """
     half = len(found.new) // 2
     own = expr.xreplace(dict(zip(found.old, found.formulas, strict=True)))
-    momenta = found.new[half:]
+    short = by_powers(own, found.new[half:], shorter)
+    return shorter(own) if short is None else min(short, own, key=sympy.count_ops)
+
+
+def by_powers(
+    expr: sympy.Expr, momenta: Symbols, short: Callable[[sympy.Expr], sympy.Expr]
+) -> sympy.Expr | None:
+    """A polynomial in momenta with short coefficients; None if it is none."""
     try:
-        powers = sympy.Poly(own, *momenta)
+        powers = sympy.Poly(expr, *momenta)
     except sympy.PolynomialError:
-        return shorter(own)
-    terms = [
-        shorter(coefficient) * sympy.Mul(*(m**k for m, k in zip(momenta, degrees, strict=True)))
-        for degrees, coefficient in powers.terms()
-    ]
-    return min(sympy.Add(*terms), own, key=sympy.count_ops)
+        return None
+    return sympy.Add(
+        *(
+            short(coefficient) * sympy.Mul(*(m**k for m, k in zip(momenta, degrees, strict=True)))
+            for degrees, coefficient in powers.terms()
+        )
+    )
+
+
+class OldVariables:
+    """The variables of a Hamiltonian as functions of those of another: (z, t) -> (..., dim).
+
+    - formulas: Of the variables that change; the others have the same name in both.
+    """
+
+    def __init__(
+        self, original: Hamiltonian, H: Hamiltonian, formulas: Mapping[str, sympy.Expr]
+    ) -> None:
+        known = original.real_equations.parameters.values()
+        values = {symbol: rational(value) for symbol, value in known if value is not None}
+        self.expressions = [
+            formulas.get(name, sympy.Symbol(name, real=True)).xreplace(values)
+            for name in original.names
+        ]
+        self._functions = [compile_observable(each, H.real_equations) for each in self.expressions]
+
+    def __call__(self, z: np.ndarray, t: Any = 0.0) -> np.ndarray:
+        with np.errstate(all="ignore"):
+            columns = [np.broadcast_to(f(z, t), z.shape[:-1]) for f in self._functions]
+        return np.stack(columns, axis=-1)

@@ -23,12 +23,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import sympy
 
-from hamsym.codegen.functions import compile_observable
 from hamsym.errors import InputError, VariableError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.support.shown import Shown
@@ -36,7 +36,7 @@ from hamsym.support.suggestions import checked_keywords, require_known, suggest_
 from hamsym.symbolic.checks import name_of
 from hamsym.symbolic.exact import rational
 from hamsym.symbolic.variables import TIME
-from hamsym.transformations.canonical_maps import limited
+from hamsym.transformations.canonical_maps import OldVariables, by_powers, limited
 
 #: Kinds of regularizations: the number of old coordinates, and the names of new ones.
 KINDS = {
@@ -122,15 +122,11 @@ class Regularization(Shown):
         (array([1., 2.]), array([0., 1.]))
         """
         states = self.H.states_from(z)
-        form = self.original.real_equations
-        values = {s: rational(v) for s, v in form.parameters.values() if v is not None}
-        columns = []
-        for name in self.original.names:
-            formula = self.formulas.get(name, sympy.Symbol(name, real=True)).xreplace(values)
-            with np.errstate(all="ignore"):
-                found = compile_observable(formula, self.H.real_equations)(states)
-            columns.append(np.broadcast_to(found, states.shape[:-1]))
-        return states[..., self.H.names.index(self.time)], np.stack(columns, axis=-1)
+        return states[..., self.H.names.index(self.time)], self._values(states)
+
+    @cached_property
+    def _values(self) -> OldVariables:
+        return OldVariables(self.original, self.H, self.formulas)
 
     def _lifted(self, values: Mapping[str, float]) -> dict[str, float]:
         """The variables u and P of a state: L(u) u is its place, and P = 2 L^T p."""
@@ -284,17 +280,10 @@ def _times(r: sympy.Expr, expr: sympy.Expr, momenta: Sequence[sympy.Symbol]) -> 
     terms = [r * term for term in sympy.Add.make_args(plain)]
     moving = sympy.Add(*(term for term in terms if term.has(*momenta)))
     resting = sympy.Add(*(term for term in terms if not term.has(*momenta)))
-    try:
-        powers = sympy.Poly(moving, *momenta)
-    except sympy.PolynomialError:
-        return moving + resting
-    return resting + sympy.Add(
-        *(
-            min(coefficient, sympy.cancel(coefficient), key=sympy.count_ops)
-            * sympy.Mul(*(m**k for m, k in zip(momenta, degrees, strict=True)))
-            for degrees, coefficient in powers.terms()
-        )
+    short = by_powers(
+        moving, momenta, lambda each: min(each, sympy.cancel(each), key=sympy.count_ops)
     )
+    return resting + (moving if short is None else short)
 
 
 def _extended(

@@ -21,16 +21,15 @@ from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.support.shown import Shown
 from hamsym.support.suggestions import checked_keywords, did_you_mean, suggest_attributes
 from hamsym.symbolic.checks import checked_expression, name_of
-from hamsym.symbolic.exact import rational
 from hamsym.symbolic.pairing import find_pairs, natural_order
 from hamsym.symbolic.variables import TIME
 from hamsym.transformations.canonical_maps import (
     GENERATING,
     CanonicalMap,
+    OldVariables,
     full_map,
     generated_map,
     point_map,
-    require_canonical,
     transformed,
 )
 
@@ -131,25 +130,18 @@ class Transformation(Shown):
         return found.reshape(states.shape)
 
     @cached_property
-    def _functions(self) -> list[Any]:
-        """The old variables as functions of states and times."""
-        form = self.original.real_equations
-        values = {s: rational(v) for s, v in form.parameters.values() if v is not None}
-        expressions = [
-            sympy.sympify(self.formulas.get(name, sympy.Symbol(name, real=True))).xreplace(values)
-            for name in self.original.names
-        ]
-        own = self.H.real_equations
-        both = [*expressions]
-        for expression in expressions:
-            both += [sympy.diff(expression, symbol) for symbol in own.z]
-        return [compile_observable(expression, own) for expression in both]
+    def _values(self) -> OldVariables:
+        return OldVariables(self.original, self.H, self.formulas)
 
-    def _values(self, z: np.ndarray, t: np.ndarray) -> np.ndarray:
-        functions = self._functions[: self.original.dim]
-        with np.errstate(all="ignore"):
-            columns = [np.broadcast_to(f(z, t), z.shape[:-1]) for f in functions]
-        return np.stack(columns, axis=-1)
+    @cached_property
+    def _slopes(self) -> list[Any]:
+        """The derivatives of the old variables by the new ones, row by row."""
+        own = self.H.real_equations
+        return [
+            compile_observable(sympy.diff(expression, symbol), own)
+            for expression in self._values.expressions
+            for symbol in own.z
+        ]
 
     def _starts(self, row: np.ndarray) -> Iterator[np.ndarray]:
         """Random states, of the size of the old ones and others."""
@@ -167,7 +159,7 @@ class Transformation(Shown):
             if np.abs(rest).max() <= room:
                 return self._allowed(z)
             with np.errstate(all="ignore"):
-                slopes = np.array([float(f(z, t)) for f in self._functions[dim:]])
+                slopes = np.array([float(f(z, t)) for f in self._slopes])
             try:
                 step = np.linalg.solve(slopes.reshape(dim, dim), rest)
             except np.linalg.LinAlgError:
@@ -219,7 +211,6 @@ def transform(
         )
     reader = _Reader(H, positive)
     found = reader.generated(*functions.popitem(), new) if functions else reader.read(formulas, new)
-    require_canonical(found)
     return _with_hamiltonian(H, found, reader.plain)
 
 
@@ -230,7 +221,6 @@ class _Reader:
         self._H = H
         names = [positive] if isinstance(positive, str) else list(positive)
         self._positive = {canonical_name(name_of(name)) for name in names}
-        self._used: set[str] = set()
 
     def read(self, formulas: Any, new: Any) -> CanonicalMap:
         """The map of formulas of coordinates, or of coordinates and momenta."""

@@ -8,12 +8,16 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from decimal import ROUND_CEILING, Context, Decimal
 from fractions import Fraction
+from typing import TYPE_CHECKING
 
 from flint import arb, ctx, fmpq
+
+if TYPE_CHECKING:
+    from hamsym.proof.arithmetic.ball import Ball
 
 from hamsym.proof.arithmetic.directed import LARGEST, float_above
 
@@ -96,6 +100,23 @@ def number_of(value: arb | Fraction) -> tuple[float, float, float]:
         with working(_BITS):
             return high, low, above(abs(value - arb(high) - arb(low)))
     return high, low, float_above(abs(rest - Fraction(low)))
+
+
+def vector_of(ball: Ball) -> list[arb]:
+    """The entries of a ball of shape (n,) as balls of Arb."""
+    return [arb(m, r) for m, r in zip(ball.mid.tolist(), ball.radius.tolist(), strict=True)]
+
+
+def matrix_of(ball: Ball) -> list[list[arb]]:
+    """The rows of a ball of shape (n, m) as balls of Arb."""
+    rows = zip(ball.mid.tolist(), ball.radius.tolist(), strict=True)
+    return [[arb(m, r) for m, r in zip(*row, strict=True)] for row in rows]
+
+
+def float_balls(values: Sequence[arb]) -> tuple[list[float], list[float]]:
+    """Mid-points in float64 of balls, and radii around them that contain the balls."""
+    middle = [float(value.mid()) for value in values]
+    return middle, [above(abs(v - arb(m))) for v, m in zip(values, middle, strict=True)]
 
 
 def decimal_above(value: float) -> str:
