@@ -18,6 +18,7 @@ A omega_2^2 - 2 B omega_1 omega_2 + C omega_1^2 is not zero (Arnold 1961; Moser 
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -26,12 +27,13 @@ from typing import Any
 
 import numpy as np
 import sympy
-from flint import acb, acb_mat, arb, arb_series
+from flint import acb, acb_mat, arb
 
 from hamsym.dynamics.equilibrium import Equilibrium
 from hamsym.errors import CertificationError, InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof.arithmetic.ball import Ball
+from hamsym.proof.arithmetic.ball_polynomials import BallPolynomial, Powers
 from hamsym.proof.arithmetic.balls import float_balls, working
 from hamsym.proof.arithmetic.functions import Arithmetic, SingularityError
 from hamsym.proof.arithmetic.generated import GeneratedFunctions
@@ -42,15 +44,11 @@ from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.validation import require_whole
 from hamsym.symbolic.derivatives import connected_blocks
 
-_BITS = 192
-_MOST = 12  # degree: the work grows like its eighth power
+_BITS = 256
+_MOST = 16  # degree
 # Relative error of H on tori up to which the normal form is of use.
 _WANTED = 1e-3
 _PHASES = 24
-
-Powers = tuple[int, ...]
-#: Polynomials by degree: coefficients by the powers of x_1.., y_1...
-Graded = dict[int, dict[Powers, acb]]
 
 
 @suggest_attributes
@@ -86,8 +84,8 @@ class NormalForm(Shown):
     stable: bool | None
     statement: str
     domain: float
-    _there: Sequence[_Polynomial] = field(repr=False)
-    _back: Sequence[_Polynomial] = field(repr=False)
+    _there: _Map = field(repr=False)  # x_1, ..., x_d of the normal coordinates, and back
+    _back: _Map = field(repr=False)
     _basis: np.ndarray = field(repr=False)
 
     @property
@@ -118,14 +116,16 @@ class NormalForm(Shown):
         half = values.shape[-1] // 2
         Q, P = values[..., :half], values[..., half:]
         both = np.concatenate([Q - 1j * P, P - 1j * Q], axis=-1) / np.sqrt(2)
-        moved = np.stack([one(both) for one in self._there], axis=-1)
-        return np.asarray(self.equilibrium.z + (moved @ self._basis.T).real)
+        # For real states y_k = -i conj(x_k), so that both halves of the sum are conjugate.
+        return np.asarray(
+            self.equilibrium.z + 2 * (self._there(both) @ self._basis[:, :half].T).real
+        )
 
     def to_normal(self, z: Any) -> np.ndarray:
         """Compute the normal coordinates (Q, P) of states, shape (..., dim) -> (..., dim)."""
         apart = np.asarray(z, dtype=float) - self.equilibrium.z
         both = apart @ np.linalg.inv(self._basis).T
-        x = np.stack([one(both) for one in self._back], axis=-1)[..., : len(self._back) // 2]
+        x = self._back(both)
         return np.asarray(np.sqrt(2) * np.concatenate([x.real, -x.imag], axis=-1))
 
 
@@ -156,137 +156,20 @@ def normal_form(equilibrium: Equilibrium, degree: int = 6) -> NormalForm:
             raise CertificationError(f"H is not smooth at the equilibrium, in {error}") from None
 
 
-# -- polynomials -----------------------------------------------------------------------------------
+class _Map:
+    """Polynomials in numbers: an array of complex values, shape (..., 2 d) -> (..., count)."""
 
-
-class _Jet:
-    """A polynomial up to a degree in 2 d variables, with balls as coefficients."""
-
-    def __init__(self, parts: Graded, degree: int) -> None:
-        self.parts = {k: part for k, part in parts.items() if part}
-        self.degree = degree
-
-    def constant(self) -> acb:
-        part = self.parts.get(0)
-        return next(iter(part.values())) if part else acb(0)
-
-    def __add__(self, other: Any) -> _Jet:
-        other = self._of(other)
-        parts = {k: dict(part) for k, part in self.parts.items()}
-        for k, part in other.parts.items():
-            mine = parts.setdefault(k, {})
-            for powers, value in part.items():
-                mine[powers] = mine[powers] + value if powers in mine else value
-        return _Jet(parts, self.degree)
-
-    __radd__ = __add__
-
-    def __neg__(self) -> _Jet:
-        return self.scaled(acb(-1))
-
-    def __sub__(self, other: Any) -> _Jet:
-        return self + (-self._of(other))
-
-    def __rsub__(self, other: Any) -> _Jet:
-        return (-self) + other
-
-    def scaled(self, factor: acb) -> _Jet:
-        return _Jet(
-            {k: {p: factor * v for p, v in part.items()} for k, part in self.parts.items()},
-            self.degree,
+    def __init__(self, polynomials: Sequence[BallPolynomial]) -> None:
+        terms = [one.terms() for one in polynomials]
+        self._powers = np.array(list(dict.fromkeys(itertools.chain(*terms))), dtype=int)
+        self._values = np.array(
+            [[complex(one.get(tuple(p), 0)) for one in terms] for p in self._powers.tolist()]
         )
 
-    def __mul__(self, other: Any) -> _Jet:
-        if not isinstance(other, _Jet):
-            return self.scaled(acb(other))
-        parts: Graded = {}
-        for (j, first), (k, second) in itertools.product(self.parts.items(), other.parts.items()):
-            if j + k > self.degree:
-                continue
-            mine = parts.setdefault(j + k, {})
-            for (p, a), (q, b) in itertools.product(first.items(), second.items()):
-                powers = tuple(map(int.__add__, p, q))
-                value = a * b
-                mine[powers] = mine[powers] + value if powers in mine else value
-        return _Jet(parts, self.degree)
-
-    __rmul__ = __mul__
-
-    def __truediv__(self, other: Any) -> _Jet:
-        if isinstance(other, _Jet):
-            return self * _applied(lambda s: 1 / s, other)
-        return self.scaled(1 / acb(other))
-
-    def __rtruediv__(self, other: Any) -> _Jet:
-        return _applied(lambda s: 1 / s, self) * other
-
-    def __pow__(self, power: int) -> _Jet:
-        if power < 0:
-            return 1 / self ** (-power)
-        found = self._of(1)
-        for _ in range(power):
-            found = found * self
-        return found
-
-    def _of(self, value: Any) -> _Jet:
-        if isinstance(value, _Jet):
-            return value
-        some = next((p for part in self.parts.values() for p in part), ())
-        return _Jet({0: {(0,) * len(some): acb(value)}}, self.degree)
-
-    def slope(self, k: int) -> _Jet:
-        """The derivative by variable k."""
-        parts: Graded = {}
-        for n, part in self.parts.items():
-            for powers, value in part.items():
-                if powers[k]:
-                    lower = (*powers[:k], powers[k] - 1, *powers[k + 1 :])
-                    parts.setdefault(n - 1, {})[lower] = powers[k] * value
-        return _Jet(parts, self.degree)
-
-
-def _applied(function: Any, x: Any, *rest: Any) -> Any:
-    """A function of a jet, by its Taylor series at the constant; arguments after it are numbers."""
-    if not isinstance(x, _Jet):
-        if any(isinstance(other, _Jet) for other in rest):
-            raise SingularityError("a function of two variables")
-        return function(x, *rest)
-    if any(isinstance(other, _Jet) for other in rest):
-        raise SingularityError("a function of two variables")
-    head = x.constant().real  # the point is real
-    series = function(arb_series([head, arb(1)]), *rest)
-    small = x - x.constant()
-    found = x._of(0)
-    for k in range(x.degree, -1, -1):
-        found = found * small + acb(series[k])
-    return found
-
-
-def _bracket(f: _Jet, g: _Jet) -> _Jet:
-    """{f, g} = sum_k df/dx_k dg/dy_k - df/dy_k dg/dx_k, truncated.
-
-    Derivatives lower the degree by two in all, so that products are formed to two degrees more.
-    """
-    count = len(next(p for part in (f.parts or g.parts).values() for p in part))
-    half, degree = count // 2, f.degree
-    found = _Jet({}, degree)
-    for k in range(half):
-        for a, b, sign in ((k, half + k, 1), (half + k, k, -1)):
-            product = f.slope(a) * g.slope(b)
-            found = found + (product if sign > 0 else -product)
-    return found
-
-
-class _Polynomial:
-    """A polynomial in numbers: an array of complex values, shape (..., 2 d) -> (...)."""
-
-    def __init__(self, jet: _Jet) -> None:
-        terms = [(p, v) for part in jet.parts.values() for p, v in part.items()]
-        self._powers = np.array([p for p, _ in terms], dtype=int)
-        self._values = np.array([complex(v) for _, v in terms])
-
     def __call__(self, z: np.ndarray) -> np.ndarray:
-        return np.asarray(np.prod(z[..., None, :] ** self._powers, axis=-1) @ self._values)
+        table = z[..., None] ** np.arange(self._powers.max() + 1)
+        factors = (table[..., k, self._powers[:, k]] for k in range(z.shape[-1]))
+        return np.asarray(functools.reduce(np.multiply, factors) @ self._values)
 
 
 # -- construction ----------------------------------------------------------------------------------
@@ -306,11 +189,10 @@ class _Construction:
         """Normalise degree by degree."""
         jet, generators, resonances = self._expanded(), [], set()
         for s in range(3, self._degree + 1):
-            part, chi = jet.parts.get(s, {}), {}
-            for powers, value in part.items():
-                k = tuple(
-                    a - b for a, b in zip(powers[: self._dof], powers[self._dof :], strict=True)
-                )
+            chi, jet = {}, jet.cleaned(s)
+            for powers, value in jet.terms(s).items():
+                half = powers[: self._dof]
+                k = tuple(a - b for a, b in zip(half, powers[self._dof :], strict=True))
                 divisor = acb(0, 1) * sum(
                     (n * w for n, w in zip(k, self._omega, strict=True)), arb(0)
                 )
@@ -319,17 +201,17 @@ class _Construction:
                 elif any(k):
                     resonances.add(min(k, tuple(-n for n in k)))
             if chi:
-                generators.append(_Jet({s: chi}, self._degree))
-                jet = self._moved(jet, generators[-1])
-                # What was removed is zero; what is left of it is rounding.
-                jet.parts[s] = {p: v for p, v in jet.parts[s].items() if p not in chi}
+                generators.append(BallPolynomial.of(chi, self._degree))
+                # What is removed is exactly zero.
+                jet = jet.flowed(generators[-1]).without(chi)
         coefficients = self._in_actions(jet)
-        units = [self._variable(k) for k in range(2 * self._dof)]
+        # To the degree of H, the coordinates are needed to one degree less.
+        units = [self._variable(k) for k in range(self._dof)]
         there, back = units, units
         for chi_s in generators:
-            there = [self._moved(one, chi_s) for one in there]
+            there = [one.flowed(chi_s) for one in there]
         for chi_s in reversed(generators):
-            back = [self._moved(one, -chi_s) for one in back]
+            back = [one.flowed(-chi_s) for one in back]
         stable, statement = self._stability(coefficients)
         balls = {powers: float_balls([value]) for powers, value in coefficients.items()}
         found = NormalForm(
@@ -341,8 +223,8 @@ class _Construction:
             stable,
             statement,
             math.nan,
-            [_Polynomial(one) for one in there],
-            [_Polynomial(one) for one in back],
+            _Map(there),
+            _Map(back),
             np.array([[complex(v) for v in row] for row in self._basis]),
         )
         return replace(found, domain=_domain(self._H, found))
@@ -405,46 +287,28 @@ class _Construction:
             return -omega, [v.conjugate() / (-size).sqrt() for v in u]
         raise CertificationError("the sign of the energy of a mode is not decided")
 
-    def _variable(self, k: int) -> _Jet:
-        powers = tuple(int(i == k) for i in range(2 * self._dof))
-        return _Jet({1: {powers: acb(1)}}, self._degree)
+    def _variable(self, k: int) -> BallPolynomial:
+        return BallPolynomial.of({_unit(2 * self._dof, k): 1}, self._degree - 1)
 
-    def _expanded(self) -> _Jet:
+    def _expanded(self) -> BallPolynomial:
         """H - H_0 in the complex coordinates, with the quadratic part of the modes."""
-        dof, zero = self._dof, (0,) * (2 * self._dof)
+        dim = 2 * self._dof
         state = []
         for point, row in zip(self._point, self._basis, strict=True):
-            linear = {}
-            for k, value in enumerate(row):
-                linear[tuple(int(i == k) for i in range(2 * dof))] = value
-            state.append(_Jet({0: {zero: acb(point)}, 1: linear}, self._degree))
-        functions = GeneratedFunctions(self._H, Arithmetic(_applied))
-        jet = functions("energy", state, arb(0))
-        parts = {k: part for k, part in jet.parts.items() if k > 2}
-        parts[2] = {}
-        for k, w in enumerate(self._omega):
-            parts[2][tuple(int(i in (k, dof + k)) for i in range(2 * dof))] = acb(0, 1) * w
-        return _Jet(parts, self._degree)
+            linear = {_unit(dim, k): value for k, value in enumerate(row)}
+            state.append(BallPolynomial.of({_unit(dim): point, **linear}, self._degree))
+        jet = GeneratedFunctions(self._H, Arithmetic(_applied))("energy", state, arb(0))
+        modes = {_unit(dim, k, self._dof + k): acb(0, 1) * w for k, w in enumerate(self._omega)}
+        return jet.from_degree(3) + BallPolynomial.of(modes, self._degree)
 
-    def _moved(self, jet: _Jet, chi: _Jet) -> _Jet:
-        """exp(L_chi) f, with L_chi f = {f, chi}."""
-        found, term = jet, jet
-        for k in range(1, self._degree + 1):
-            term = _bracket(term, chi)
-            if not term.parts:
-                break
-            term = term.scaled(acb(1) / k)
-            found = found + term
-        return found
-
-    def _in_actions(self, jet: _Jet) -> dict[Powers, arb]:
+    def _in_actions(self, jet: BallPolynomial) -> dict[Powers, arb]:
         """The coefficients of the powers of I_k = i x_k y_k."""
         found: dict[Powers, arb] = {}
-        for part in jet.parts.values():
-            for powers, value in part.items():
-                half = powers[: self._dof]
-                if half == powers[self._dof :]:
-                    found[half] = (value * acb(0, -1) ** sum(half)).real
+        for total in range(1, self._degree // 2 + 1):
+            for half in _powers(self._dof, total):
+                value = (jet.coefficient(half + half) * acb(0, -1) ** total).real
+                if not value.is_zero():
+                    found[half] = value
         return found
 
     def _stability(self, coefficients: Mapping[Powers, arb]) -> tuple[bool | None, str]:
@@ -471,6 +335,30 @@ class _Construction:
             f"stable: Arnold's determinant is {value}, not zero, and no k . omega = 0 for "
             "0 < |k| <= 4 (Arnold 1961; Moser 1962)"
         )
+
+
+def _applied(function: Any, x: Any, *rest: Any) -> Any:
+    """A function of a polynomial or a number; arguments after it are numbers."""
+    if any(isinstance(other, BallPolynomial) for other in rest):
+        raise SingularityError("a function of two variables")
+    if isinstance(x, BallPolynomial):
+        return x.applied(lambda series: function(series, *rest))
+    return function(x, *rest)
+
+
+def _unit(count: int, *variables: int) -> Powers:
+    """The powers of a product of different variables."""
+    return tuple(int(k in variables) for k in range(count))
+
+
+def _powers(count: int, total: int) -> Iterator[Powers]:
+    """All powers of some variables with a sum."""
+    if count == 1:
+        yield (total,)
+        return
+    for first in range(total, -1, -1):
+        for rest in _powers(count - 1, total - first):
+            yield (first, *rest)
 
 
 def _vectors(order: int) -> Iterator[tuple[int, int]]:
