@@ -408,13 +408,13 @@ def euler(
 
 
 @njit(error_model="numpy", nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _stage_matrix(matrix, coefficients, second, h):
+def _stage_matrix(matrix, shares, weights, second, h):
     """Newton's matrix 1 - h a_ij J C_j, where C_j = second[j] is the Hessian at stage j
     or, with forces, the derivative of -J dz/dt."""
-    stages = coefficients.shape[0]
+    stages = weights.shape[0]
     for stage in range(stages):
         for other in range(stages):
-            factor = h * coefficients[stage, other]
+            factor = shares[stage, other] * h * weights[other]
             block = matrix[stage * DIM : (stage + 1) * DIM, other * DIM : (other + 1) * DIM]
             for row in range(DOF):
                 for column in range(DIM):
@@ -427,13 +427,16 @@ def _stage_matrix(matrix, coefficients, second, h):
 @njit(error_model="numpy", nogil=True, cache=True, no_cfunc_wrapper=True)
 def implicit(
     states, low, columns, out, offset, done, starts, sizes, first, saves, save_every,
-    coefficients, weights, nodes, continued, parameters,
+    shares, weights, nodes, continued, parameters,
 ):  # fmt: skip
-    """Implicit Runge-Kutta methods: stages by Newton's method with derivatives of the rates.
+    """Implicit Runge-Kutta methods: stages by iteration, where it is slow by Newton's method.
 
     Each row of states contains the state and the rates at the last step's stages, which are
-    extrapolated to the initial guess. The factors of Newton's matrix are kept within a step
-    while the corrections shrink tenfold. The sum over steps is compensated.
+    extrapolated to the initial guess. Iteration goes on while corrections shrink to a third; the
+    factors of Newton's matrix are kept within a step while they shrink tenfold. The sum over steps
+    is compensated. The coefficients a_ij are shares[i, j] times b_j, and shares[i, j] and
+    shares[j, i] add up to exactly 1, so that rounded coefficients are those of a symplectic method
+    (Antonana, Makazaga & Murua 2017).
     """
     stages = weights.shape[0]
     increments = np.empty((stages, DIM))
@@ -466,11 +469,14 @@ def implicit(
                     for component in range(DIM):
                         value = 0.0
                         for other in range(stages):
-                            value += h * coefficients[stage, other] * slopes[other, component]
+                            part = h * weights[other] * slopes[other, component]
+                            value += shares[stage, other] * part
                         increments[stage, component] = value
                 previous = math.inf
                 converged = False
+                newton = False
                 stale = True
+                terms[:] = 0.0
                 for _attempt in range(50):
                     for stage in range(stages):
                         for component in range(DIM):
@@ -479,9 +485,9 @@ def implicit(
                             )
                     _vector_field(points, times, values, slopes)
                     done[trajectory, 1] += stages
-                    if stale:
+                    if newton and stale:
                         _rate_curvature(points, times, values, second)
-                        _stage_matrix(matrix, coefficients, second, h)
+                        _stage_matrix(matrix, shares, weights, second, h)
                         _factor(matrix, pivots)
                         # Slopes may be small differences of large terms; these are their sizes.
                         terms[:] = 0.0
@@ -497,10 +503,11 @@ def implicit(
                         for component in range(DIM):
                             value = increments[stage, component]
                             for other in range(stages):
-                                factor = h * coefficients[stage, other]
-                                value -= factor * slopes[other, component]
+                                part = h * weights[other] * slopes[other, component]
+                                value -= shares[stage, other] * part
                             right[stage * DIM + component] = value
-                    _substitute(matrix, pivots, right)
+                    if newton:
+                        _substitute(matrix, pivots, right)
                     # Corrections relative to the state, coordinates and momenta by themselves.
                     change = 0.0
                     for half in range(2):
@@ -517,21 +524,31 @@ def implicit(
                                 if not math.isfinite(correction):
                                     largest = math.inf
                         change = max(change, largest / scale)
-                    # Converged when the corrections are round-off: negligible, or small and no
-                    # longer shrinking.
-                    if change <= 1e-16 or (change >= previous and change <= 1e-11):
+                    # Converged when the corrections are round-off: small and no longer shrinking,
+                    # or, of Newton's method, negligible. The rest of an iteration is not: it has
+                    # one direction, in which the energy would drift.
+                    negligible = change <= 1e-16 and (newton or change == 0.0)
+                    if negligible or (change >= previous and change <= 1e-11):
                         converged = True
                         break
-                    if not math.isfinite(change):
-                        break
-                    stale = change > 0.1 * previous
+                    if newton:
+                        if not math.isfinite(change):
+                            break
+                        stale = change > 0.1 * previous
+                    elif not (change <= 0.3 * previous or change <= 1e-13):
+                        newton = True
+                        change = math.inf
+                        for stage in range(stages):
+                            for component in range(DIM):
+                                if not math.isfinite(increments[stage, component]):
+                                    increments[stage, component] = 0.0
                     previous = change
                 if not converged:
                     break
                 if tangents.shape[1]:
                     # The derivative of the step, by the implicit function theorem.
                     _rate_curvature(points, times, values, second)
-                    _stage_matrix(matrix, coefficients, second, h)
+                    _stage_matrix(matrix, shares, weights, second, h)
                     _factor(matrix, pivots)
                     for column in range(tangents.shape[1]):
                         for stage in range(stages):

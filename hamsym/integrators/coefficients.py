@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import decimal
 import functools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
@@ -97,12 +98,22 @@ class RungeKutta:
 
     @functools.cached_property
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """a, b, c, and the matrix that extrapolates rates from one step's nodes to the next's."""
+        """Shares a_ij/b_j, b, c, and the matrix that extrapolates rates to the next step's nodes.
+
+        Of two shares that add up to 1 the larger is rounded; their sum is then exact.
+        """
+        with decimal.localcontext(prec=_DIGITS):
+            shares = np.array(
+                [[a / b for a, b in zip(row, self.weights, strict=True)] for row in self.matrix]
+            ).astype(float)
+        if self.is_symplectic:
+            shares = np.where(shares > shares.T, shares, 1 - shares.T)
+            np.fill_diagonal(shares, 0.5)
         nodes = np.array(self.nodes, dtype=float)
         powers = np.arange(self.stages)
         continued = (1 + nodes[:, None]) ** powers @ np.linalg.inv(nodes[:, None] ** powers)
         return (
-            np.array(self.matrix, dtype=float),
+            shares,
             np.array(self.weights, dtype=float),
             nodes,
             continued,
@@ -216,29 +227,36 @@ def mclachlan4() -> Splitting:
 
 @_to_50_digits
 def gauss(stages: int) -> RungeKutta:
-    """The Gauss method with 1, 2 or 3 stages (Hairer, Lubich & Wanner 2006, section II.1)."""
-    half = Decimal("0.5")
-    if stages == 1:
-        return RungeKutta(((half,),), (Decimal(1),), (half,))
-    if stages == 2:
-        r = Decimal(3).sqrt() / 6
-        quarter = half / 2
-        return RungeKutta(
-            ((quarter, quarter - r), (quarter + r, quarter)), (half, half), (half - r, half + r)
-        )
-    if stages != 3:
-        raise ValueError(f"a Gauss method with 1, 2 or 3 stages is known, not with {stages}")
-    r = Decimal(15).sqrt()
-    outer, inner = Decimal(5) / 18, Decimal(4) / 9
-    return RungeKutta(
-        (
-            (outer / 2, inner / 2 - r / 15, outer / 2 - r / 30),
-            (outer / 2 + r / 24, inner / 2, outer / 2 - r / 24),
-            (outer / 2 + r / 30, inner / 2 + r / 15, outer / 2),
-        ),
-        (outer, inner, outer),
-        (half - r / 10, half, half + r / 10),
-    )
+    """The Gauss method: collocation at the zeros of the Legendre polynomial on [0, 1].
+
+    Source: Hairer, Lubich & Wanner 2006, section II.1.
+    """
+    nodes = [_legendre_zero(stages, k) for k in range(stages)]
+    matrix = []
+    for end in [*nodes, Decimal(1)]:
+        row = []
+        for j, node in enumerate(nodes):
+            # The Lagrange polynomial of a node, highest power last, and its integral.
+            basis = [Decimal(1)]
+            for other in nodes[:j] + nodes[j + 1 :]:
+                lower, upper = [*basis, Decimal(0)], [Decimal(0), *basis]
+                basis = [
+                    (u - other * v) / (node - other) for u, v in zip(upper, lower, strict=True)
+                ]
+            row.append(sum((c * end ** (n + 1) / (n + 1) for n, c in enumerate(basis)), Decimal(0)))
+        matrix.append(tuple(row))
+    return RungeKutta(tuple(matrix[:-1]), matrix[-1], tuple(nodes))
+
+
+def _legendre_zero(degree: int, k: int) -> Decimal:
+    """The zero number k of the Legendre polynomial on [0, 1], by Newton's method."""
+    x = Decimal(-math.cos(math.pi * (k + 0.75) / (degree + 0.5)))
+    for _ in range(8):
+        last, value = Decimal(1), x
+        for n in range(1, degree):
+            last, value = value, ((2 * n + 1) * x * value - n * last) / (n + 1)
+        x -= value * (x * x - 1) / (degree * (x * value - last))
+    return (1 + x) / 2
 
 
 def _numbers(text: str) -> list[Decimal]:
@@ -247,7 +265,9 @@ def _numbers(text: str) -> list[Decimal]:
     return [Decimal(top) / Decimal(bottom or 1) for top, _, bottom in fractions]
 
 
-IMPLICIT_MIDPOINT, GAUSS4, GAUSS6 = gauss(1), gauss(2), gauss(3)
+IMPLICIT_MIDPOINT = gauss(1)
+#: By order.
+GAUSS = {2 * stages: gauss(stages) for stages in range(2, 7)}
 TAO2, TAO4 = Doubled((Decimal(1),)), Doubled(tuple(triple_jump()))
 SYMPLECTIC_EULER = splitting("1", "1")
 SYMPLECTIC_EULER_P = splitting("0 1", "1")
@@ -290,5 +310,26 @@ YOSHIDA8 = verlet_composition(
            1.93813913762252598657918648744364176095359335744765027207279
            -1.96061023297531080760763337639966364079243281982600530191041
            0.102799849391796440698115131601225862911015601278442768271702"""
+    )
+)
+SOFRONIOU_SPALETTA10 = verlet_composition(
+    symmetric_weights(
+        """0.0787957225216864192639076793382896066655256276640445866058926
+           0.313096103415108527764812471920256821461802522051185385378781
+           0.027918383235078066109520273265949447508711510702640125781217
+           -0.229592841593907094151213396801122704836931043143787881706981
+           0.130962061077164863174656859292158363549447682955769535763989
+           -0.269733405654510714344609732217286623648099348448778038362672
+           0.0749733431558914356661371056390587135037589245545697766663991
+           0.111993423999810204889575080737269905277266874275823161969906
+           0.366133449546226751193148123537146946009021807238593250047649
+           -0.399105630136035897878629810584015556896082292092718537218809
+           0.103087398527471077315802769994503872284375007634574139016422
+           0.411430873955890237820704118977477786897940297741860520700319
+           -0.00486636058313526176219565930774240912472426137028798140237352
+           -0.392033353708639906448081936429980141629719075950432628642903
+           0.051942502962449647037182904831404243147260832269700483216313
+           0.0506650907599244963358743425096948739410407139914064139379195
+           0.0496743706397298790545688006666647946018762932129235471119557"""
     )
 )

@@ -59,6 +59,7 @@ _HELD = 2**20  # components of states that are tested at once
 _REPEATED = 20_000_000  # components of the states after repeated steps that are held at once
 _DISAGREEMENT = 0.1  # of the sizes, between the change in a window and the integral of the force
 _AT_ONCE = 256  # windows in one evaluation of models
+_TRIED = 16  # windows of a length, before all of them
 _SAMPLED = 256  # states from which sizes are computed
 _ROUND_OFF = 256 * 2.0**-52  # of the integral of |F - G^|, relative to the force
 _NOISE = 80.0  # times the change of F for one unit in the last place of states and times
@@ -115,6 +116,13 @@ class Path:
                 self.z[:, first:last].reshape(count * between, dim),
                 np.tile(self.t[first:last], count),
             )
+            most = max(1, _REPEATED // (between * count * dim))
+            if between == 1 and every > most:
+                for done in range(0, every, most):
+                    some = min(most, every - done)
+                    t = self.t[0] + size * (first * every + done + np.arange(some + 1))
+                    yield stepper.advance(some, show=False).path, t
+                continue
             path = stepper.advance(every, show=False).path[:, :-1].reshape(count, -1, dim)
             t = self.t[0] + size * np.arange(first * every, last * every + 1)
             yield np.concatenate((path, self.z[:, last : last + 1]), axis=1), t
@@ -351,17 +359,24 @@ class _Search:
         blocks = blocks[~self._scales.resolved(*path, blocks)[0], 0]
         if not len(blocks):
             return _NOTHING
-        self._slopes = self._features.rates(self._z, self._t, self._own)
         for length in lengths:
             own = np.minimum(blocks // length * length, self._steps - length)
             own = np.where(length == shortest, blocks, own)
             starts, which = np.unique(own, return_inverse=True)
-            passed = [
-                self._passed(starts[first : first + _AT_ONCE], length)
-                for first in range(0, len(starts), _AT_ONCE)
-            ]
-            blocks = blocks[~np.concatenate([np.empty(0, dtype=bool), *passed])[which]]
+            blocks = blocks[~self._all_passed(starts, length)[which]]
         return self._judged(blocks) if len(blocks) else _NOTHING
+
+    def _all_passed(self, starts: np.ndarray, length: int) -> np.ndarray:
+        """Whether nothing can be hidden in windows; if it can in a sample, no other is tried."""
+        passed, every = np.zeros(len(starts), dtype=bool), max(1, len(starts) // _TRIED)
+        some = np.arange(0, len(starts), every)
+        others = np.setdiff1d(np.arange(len(starts)), some)
+        parts = (others[first : first + _AT_ONCE] for first in range(0, len(others), _AT_ONCE))
+        for part in (some, *parts):
+            passed[part] = self._passed(starts[part], length)
+            if not passed.any() and length > self._shortest:
+                break
+        return passed
 
     def _passed(self, starts: np.ndarray, length: int) -> np.ndarray:
         """Whether nothing can be hidden in windows of equal numbers of steps."""
@@ -393,7 +408,9 @@ class _Search:
         index = starts[:, None] + np.arange(length + 1)
         edges = self._t[starts], self._t[starts + length]
         half = (edges[1] - edges[0])[:, None, None] / 2
-        data = np.concatenate((self._z[index], half * self._slopes[index]), axis=1)
+        states, times = self._z[index], self._t[index]
+        slopes = self._features.rates(states.reshape(-1, states.shape[2]), times.ravel(), self._own)
+        data = np.concatenate((states, half * slopes.reshape(states.shape)), axis=1)
         curve = _hermite_fit(length) @ data
         curve[:, 0] += self._shift
         windows = _Windows(np.stack(edges), curve, np.zeros_like(curve))
@@ -405,7 +422,8 @@ class _Search:
         """Judge the shortest windows, which share what is allowed."""
         windows, shortest = self._windows(starts, self._shortest), self._shortest
         steps = starts[:, None] + np.arange(shortest)
-        switched, changes = self._switched[steps], np.abs(np.diff(self._slopes, axis=0))
+        slopes = self._features.rates(self._z, self._t, self._own)
+        switched, changes = self._switched[steps], np.abs(np.diff(slopes, axis=0))
         at_switch = switched.any(axis=1) & (self._errors is not None)
         # A part of the rest may use as many shares, a residual that counts everywhere only one.
         shares = len(starts) * np.where(at_switch, 2.0, 2.0 * MOST_SHARES)

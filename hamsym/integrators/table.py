@@ -91,15 +91,21 @@ INTEGRATORS: dict[str, Integrator] = {
     "yoshida8": Integrator(
         8, "composition of Stormer-Verlet, solution D", "Yoshida 1990", coefficients.YOSHIDA8
     ),
+    "sofroniou_spaletta10": Integrator(
+        10,
+        "composition of 35 Stormer-Verlet steps",
+        "Sofroniou & Spaletta 2005",
+        coefficients.SOFRONIOU_SPALETTA10,
+    ),
     "implicit_midpoint": Integrator(
         2, "implicit, any H", "Hairer, Lubich & Wanner 2006, II.1", coefficients.IMPLICIT_MIDPOINT
     ),
-    "gauss4": Integrator(
-        4, "implicit, any H", "Hairer, Lubich & Wanner 2006, II.1", coefficients.GAUSS4
-    ),
-    "gauss6": Integrator(
-        6, "implicit, any H", "Hairer, Lubich & Wanner 2006, II.1", coefficients.GAUSS6
-    ),
+    **{
+        f"gauss{order}": Integrator(
+            order, "implicit, any H", "Hairer, Lubich & Wanner 2006, II.1", scheme
+        )
+        for order, scheme in coefficients.GAUSS.items()
+    },
     "tao2": Integrator(
         2, "explicit, any H; symplectic in a doubled phase space", "Tao 2016", coefficients.TAO2
     ),

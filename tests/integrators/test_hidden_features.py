@@ -7,6 +7,7 @@ import pytest
 
 import hamsym
 from hamsym import Hamiltonian
+from hamsym.integrators import hidden_features as hidden_features_module
 from hamsym.integrators.hidden_features import Path, _hermite_fit, hidden_features
 
 OSCILLATOR = "p**2/2 + x**2/2 - x*"
@@ -45,6 +46,16 @@ def test_pulse_between_given_steps_is_found(options: dict[str, object]) -> None:
     assert "the force has a feature" in found.message
     before = hamsym.integrate(H, [1.0, 0.0], (0, 3), **options)
     assert before.success is True
+
+
+def test_pulse_between_states_far_apart_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps are repeated in parts, because all of them may not fit into memory."""
+    monkeypatch.setattr(hidden_features_module, "_REPEATED", 1_000)
+    H = OSCILLATOR + PULSES["narrow"]
+    found = hamsym.integrate(H, [1.0, 0.0], (0, 10), steps=2_001, save_every=2_001)
+    assert found.success is False
+    assert "near t = 3.37" in found.message
+    assert hamsym.integrate(H, [1.0, 0.0], (0, 3), steps=2_001, save_every=2_001).success
 
 
 def test_pulse_that_looks_like_a_pole_is_no_success() -> None:
