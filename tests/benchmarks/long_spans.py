@@ -11,6 +11,7 @@ units, from heyoka's in extended precision.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -71,7 +72,7 @@ def _law(
     for count in counts:
         while done < count:
             some = min(count - done, 100_000)
-            spent, z = cpu(lambda some=some: stepper.step(steps * some))
+            spent, z = cpu(functools.partial(stepper.step, steps * some))
             done, seconds = done + some, seconds + spent
         change = (energy(z) - before) / before
         exact = np.array([_exact(start, size * steps * count) for start in states])
