@@ -463,19 +463,20 @@ variables, not 1
         kind: str | None = None,
         *,
         sundman: str | sympy.Expr | None = None,
-        coordinates: Sequence[str] | None = None,
+        coordinates: Sequence[Any] | None = None,
         about: Mapping[str, Any] | None = None,
     ) -> Regularization:
         """Remove collisions: another Hamiltonian in extended phase space, and the way back.
 
         Parameters
         ----------
-        kind : {"levi-civita", "kustaanheimo-stiefel"}, optional
-            For a collision in the plane or in space.
+        kind : {"levi-civita", "kustaanheimo-stiefel", "heggie"}, optional
+            For a collision in the plane or in space, or for those of three bodies in either.
         sundman : str or sympy.Expr, optional
             dt/ds > 0 in the variables of H, without other coordinates, in place of a kind.
-        coordinates : sequence of str, optional
-            The two or three coordinates that meet in the collision; by default all of H.
+        coordinates : sequence of str or of lists of str, optional
+            The two or three coordinates that meet in the collision; by default all of H. Of three
+            bodies a list for each, by default by the numbers at the ends of their names.
         about : mapping of str to number or str, optional
             Its place, by coordinate, also in parameters of H; by default the origin.
 

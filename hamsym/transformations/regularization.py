@@ -20,22 +20,23 @@ which is inserted for it: the difference is a multiple of l^2, which has no effe
 
 from __future__ import annotations
 
-import math
+import functools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import sympy
 
+from hamsym.codegen.functions import compile_observable
 from hamsym.errors import InputError, VariableError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.support.shown import Shown
 from hamsym.support.suggestions import checked_keywords, require_known, suggest_attributes
 from hamsym.symbolic.checks import name_of
-from hamsym.symbolic.exact import rational
 from hamsym.symbolic.variables import TIME
+from hamsym.transformations.bodies import Bodies, Collision, without_collisions
 from hamsym.transformations.canonical_maps import OldVariables, by_powers, limited
 
 #: Kinds of regularizations: the number of old coordinates, and the names of new ones.
@@ -60,8 +61,6 @@ class Regularization(Shown):
     original : Hamiltonian
     formulas : mapping of str to sympy.Expr
         The old variables that change, in the new ones.
-    about : mapping of str to float
-        The place of the collision, by the coordinates that change.
     time : str
         The component of H that is the time of the original.
     """
@@ -69,36 +68,52 @@ class Regularization(Shown):
     H: Hamiltonian
     original: Hamiltonian
     formulas: Mapping[str, sympy.Expr]
-    about: Mapping[str, float]
     time: str
+    _collisions: Sequence[Collision] = ()
+    _others: Mapping[str, sympy.Expr] = field(default_factory=dict)  # other new ones, of the old
 
     def __repr__(self) -> str:
         return f"Regularization({self.original.formulas!r} -> {self.H.formulas!r})"
 
     def start(self, z0: Any, t: float = 0.0) -> np.ndarray:
-        """Compute the state of H, shape (dim,), of a state of the original at a time.
+        """Compute the states of H, shape (..., dim), of states of the original at a time.
 
         The momentum of the time is -H(z0), so that the new Hamiltonian is zero.
+
+        Parameters
+        ----------
+        z0 : sequence, mapping or array
+            A state, or states of shape (..., dim).
+        t : float
 
         Raises
         ------
         InputError
-            If H is not finite at the state, as in a collision, or dt/ds is not positive there.
+            If H is not finite at a state, as in a collision, or dt/ds is not positive there.
         """
         original, dof = self.original, self.H.dof
-        z = original.state_from(z0)
-        system = original.compile("numpy")
+        z = original.states_from(z0)
+        form, system = original.real_equations, original.compile("numpy")
         with np.errstate(all="ignore"):
-            energy = float(system.energy(*system.arguments(z, np.asarray(float(t)))))
-        if not math.isfinite(energy):
-            raise InputError(f"H is {energy} at the start; give one that is no collision")
-        values = dict(zip(original.names, z.tolist(), strict=True))
-        if self.about:
-            values |= self._lifted(values)
+            energy = np.asarray(system.energy(*system.arguments(z, np.asarray(float(t)))))
+        if not np.isfinite(energy).all():
+            bad = energy[~np.isfinite(energy)].flat[0]
+            raise InputError(f"H is {bad} at the start; give one that is no collision")
+        values = dict(zip(original.names, np.moveaxis(z, -1, 0), strict=True))
+
+        def of(formulas: Sequence[sympy.Expr]) -> list[np.ndarray]:
+            functions = (compile_observable(formula, form) for formula in formulas)
+            return [np.broadcast_to(f(z, float(t)), energy.shape) for f in functions]
+
+        for each in self._collisions:
+            u, P = _lifted(of(each.place), of(each.momentum))
+            values |= dict(zip([*each.u, *each.P], [*u, *P], strict=True))
+        values |= dict(zip(self._others, of([*self._others.values()]), strict=True))
         momentum = self.H.names[dof + self.H.names.index(self.time)]
-        values |= {self.time: float(t), momentum: -energy}
-        found = self.H.state_from({name: values[name] for name in self.H.names})
-        rate = float(self.H.compile("numpy").vector_field(found)[self.H.names.index(self.time)])
+        values |= {self.time: np.full_like(energy, t), momentum: -energy}
+        found = np.stack([values[name] for name in self.H.names], axis=-1)
+        rates = np.asarray(self.H.compile("numpy").vector_field(found))
+        rate = float(rates[..., self.H.names.index(self.time)].min())
         if not rate > 0:
             raise InputError(f"dt/ds is {rate:g} at the start; give a formula that is positive")
         return found
@@ -128,22 +143,21 @@ class Regularization(Shown):
     def _values(self) -> OldVariables:
         return OldVariables(self.original, self.H, self.formulas)
 
-    def _lifted(self, values: Mapping[str, float]) -> dict[str, float]:
-        """The variables u and P of a state: L(u) u is its place, and P = 2 L^T p."""
-        moved, original = list(self.about), self.original
-        momenta = [original.names[original.dof + original.names.index(name)] for name in moved]
-        x, *rest = (values[name] - self.about[name] for name in moved)
-        first = math.sqrt((math.hypot(x, *rest) + abs(x)) / 2)
-        beside = [value / (2 * first) for value in rest]
-        # of the two halves of the circle the one without a difference of near numbers
-        u = [first, *beside] if x >= 0 else [beside[0], first]
-        if len(rest) == 2:
-            u = [*u, 0.0] if x >= 0 else [*u, 0.0, beside[1]]
-        matrix = np.array(_matrix(u), dtype=float)
-        P = 2 * matrix.T @ np.array([values[name] for name in momenta])
-        names = KINDS["levi-civita" if len(moved) == 2 else "kustaanheimo-stiefel"][1]
-        own = [name for name in self.H.names if name.rstrip("_") in names]
-        return dict(zip([*own, *(f"p_{name}" for name in own)], [*u, *P.tolist()], strict=True))
+
+def _lifted(
+    place: Sequence[np.ndarray], momentum: Sequence[np.ndarray]
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """The variables u and P of a collision: L(u) u is its place, and P = 2 L^T p."""
+    x, size = place[0], functools.reduce(np.hypot, place)
+    first = np.sqrt((size + np.abs(x)) / 2)
+    beside = [value / (2 * first) for value in place[1:]]
+    # of the two halves of the circle the one without a difference of near numbers
+    right, left = [first, beside[0]], [beside[0], first]
+    if len(place) == 3:
+        right, left = [*right, beside[1], 0 * x], [*left, 0 * x, beside[1]]
+    u = [np.where(x >= 0, *pair) for pair in zip(right, left, strict=True)]
+    columns = zip(*_matrix(u), strict=True)
+    return u, [2 * sum(a * p for a, p in zip(own, momentum, strict=True)) for own in columns]
 
 
 def _matrix(u: Sequence[Any]) -> list[list[Any]]:
@@ -159,7 +173,7 @@ def regularize(
     kind: str | None = None,
     *,
     sundman: str | sympy.Expr | None = None,
-    coordinates: Sequence[str] | None = None,
+    coordinates: Sequence[Any] | None = None,
     about: Mapping[str, Any] | None = None,
 ) -> Regularization:
     """Remove collisions from a Hamiltonian; see Hamiltonian.regularized.
@@ -183,8 +197,12 @@ def regularize(
             raise InputError("coordinates= and about= belong to a kind, not to sundman=")
         rate = H.observable(sundman).function.xreplace(later)
         pairs = [(s, form.z[H.dof + k]) for k, s in enumerate(form.z[: H.dof])]
-        return _extended(H, rate * (form.expr.xreplace(later) + P_T), pairs, (T, P_T), {}, {})
-    require_known(kind, list(KINDS), "a regularization")
+        return _extended(H, rate * (form.expr.xreplace(later) + P_T), pairs, (T, P_T), {})
+    require_known(kind, [*KINDS, "heggie"], "a regularization")
+    if kind == "heggie":
+        if about is not None:
+            raise InputError("about= is the place of one collision; heggie removes all of them")
+        return _of_bodies(H, coordinates, (T, P_T))
     count, names = KINDS[str(kind)]
     moved = _moved(H, coordinates, count)
     places = {name: _place(H, about, name) for name in moved}
@@ -206,9 +224,34 @@ def regularize(
         gamma = _times(r, inserted + P_T, [*P, P_T])
     pairs = list(zip(u, P, strict=True))
     pairs += [(s, form.z[H.dof + k]) for k, s in enumerate(form.z[: H.dof]) if s.name not in moved]
-    values = {s: rational(v) for s, v in form.parameters.values() if v is not None}
-    numbers = {name: float(place.xreplace(values)) for name, place in places.items()}
-    return _extended(H, gamma, pairs, (T, P_T), formulas, numbers)
+    symbols = dict(zip(H.names, form.z, strict=True))
+    collision = Collision(
+        tuple(symbol.name for symbol in u),
+        tuple(symbol.name for symbol in P),
+        tuple(symbols[name] - place for name, place in places.items()),
+        tuple(symbols[name] for name in momenta),
+    )
+    return _extended(H, gamma, pairs, (T, P_T), formulas, [collision])
+
+
+def _of_bodies(
+    H: Hamiltonian, coordinates: Any, clock: tuple[sympy.Symbol, sympy.Symbol]
+) -> Regularization:
+    """All collisions of two of several bodies removed."""
+    with limited("the regularized Hamiltonian"):
+        bodies = Bodies.of(H, coordinates)
+        gamma, collisions, formulas, others = without_collisions(
+            bodies, lambda name: _free(name, H), _matrix, clock[1]
+        )
+    names = [*((each.u, each.P) for each in collisions)]
+    middles = list(others)[: len(others) // 2]
+    names.append((tuple(middles), tuple(f"p_{name}" for name in middles)))
+    pairs = [
+        (sympy.Symbol(q, real=True), sympy.Symbol(p, real=True))
+        for own in names
+        for q, p in zip(*own, strict=True)
+    ]
+    return _extended(H, gamma, pairs, clock, formulas, collisions, others)
 
 
 def _free(name: str, H: Hamiltonian) -> str:
@@ -292,7 +335,8 @@ def _extended(
     pairs: Sequence[tuple[sympy.Symbol, sympy.Symbol]],
     clock: tuple[sympy.Symbol, sympy.Symbol],
     formulas: Formulas,
-    about: Mapping[str, float],
+    collisions: Sequence[Collision] = (),
+    others: Mapping[str, sympy.Expr] | None = None,
 ) -> Regularization:
     names = {s.name for s in gamma.free_symbols}
     every = [*pairs, clock]
@@ -302,4 +346,4 @@ def _extended(
         p=[p for _, p in every],
         parameters={name: value for name, value in H.parameters.items() if name in names},
     )
-    return Regularization(new, H, formulas, about, clock[0].name)
+    return Regularization(new, H, formulas, clock[0].name, collisions, others or {})

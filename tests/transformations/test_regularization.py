@@ -84,6 +84,114 @@ def test_motion_is_that_of_the_original(
     assert np.abs(z - direct(t)).max() < 1e-8
 
 
+def _bodies(masses: list[Any], axes: str = "xy") -> Hamiltonian:
+    n = range(1, len(masses) + 1)
+    kinetic = [f"p_{a}{i}**2/(2*{m})" for i, m in zip(n, masses, strict=True) for a in axes]
+    pairs = [
+        f"{masses[i - 1]}*{masses[j - 1]}/sqrt({' + '.join(f'({a}{i} - {a}{j})**2' for a in axes)})"
+        for i in n
+        for j in range(1, i)
+    ]
+    return Hamiltonian(f"{' + '.join(kinetic)} - {' - '.join(pairs)}")
+
+
+def _moved(text: str, other: str) -> Hamiltonian:
+    """Three bodies with another term."""
+    known = "(p_x1**2/2 + p_y1**2/2 + p_x2**2 + p_y2**2 + p_x3**2 + p_y3**2)"
+    near = " - ".join(
+        f"1/sqrt((x{i}-x{j})**2 + (y{i}-y{j})**2)" for i, j in ((1, 2), (1, 3), (2, 3))
+    )
+    return Hamiltonian(f"{known} - {near}".replace(text, other))
+
+
+@pytest.mark.parametrize(
+    ("masses", "axes", "span"),
+    [
+        ([3, 4, 5], "xy", 1.0),
+        (["m", 2, "0.5*m"], "xy", 1.0),
+        pytest.param(["m", 2, "0.5*m"], "xyz", 1.0, marks=pytest.mark.slow),
+    ],
+)
+def test_several_bodies_move_as_in_the_original(masses: list[Any], axes: str, span: float) -> None:
+    H = _bodies(masses, axes)
+    H = H.with_parameters(m=1.5) if "m" in H.parameter_names else H
+    random = np.random.default_rng(5)
+    z0 = np.concatenate([random.uniform(-3, 3, H.dof), random.uniform(-1, 1, H.dof)])
+    found = H.regularized("heggie")
+    start = found.start(z0, 0.3)
+    assert np.abs(found.to_old(start)[1] - z0).max() < 1e-14
+    solution = hamsym.solve(found.H, start, (0, span), atol=1e-12)
+    assert solution.success
+    t, z = found.to_old(solution(np.linspace(0, span, 4)))
+    assert t[0] == 0.3
+    direct = hamsym.solve(H, z0, (0.3, float(t[-1])), tol=1e-11)
+    assert np.abs(z - direct(t)).max() < 1e-8
+    # many starts at once are the same as each
+    many = found.start(np.stack([z0, 2 * z0]))
+    assert (many[1] == found.start(2 * z0)).all()
+
+
+def test_pythagorean_problem_to_its_end() -> None:
+    """Masses 3, 4 and 5 at rest in the corners of a triangle (Szebehely & Peters 1967)."""
+    found = _bodies([3, 4, 5]).regularized("heggie")
+    places = {"x1": 1, "y1": 3, "x2": -2, "y2": -1, "x3": 1, "y3": -1}
+    start = found.start({**places, **{f"p_{name}": 0 for name in places}})
+    begin = hamsym.solve(found.H, start, (0, 50), tol=1e-9)
+    assert begin.success
+    t, z = found.to_old(begin(np.linspace(0, 50, 50_001)))
+    assert t[-1] > 33
+    # their closest approach: 4e-4 at t = 15.8299
+    apart = np.hypot(z[:, 1] - z[:, 2], z[:, 4] - z[:, 5])
+    nearest = int(apart.argmin())
+    assert 3.5e-4 < apart[nearest] < 4.5e-4
+    assert t[nearest] == pytest.approx(15.8299, abs=1e-4)
+    # at the end masses 4 and 5 are a binary, which mass 3 leaves
+    whole = hamsym.solve(found.H, start, (0, 120), tol=1e-3)
+    assert whole.success
+    t, z = found.to_old(whole(np.linspace(0, 120, 2_001)))
+    assert t[-1] > 70
+    late = z[t > 62]
+    binary = np.hypot(late[:, 1] - late[:, 2], late[:, 4] - late[:, 5])
+    escaping = np.hypot(late[:, 0], late[:, 3])
+    assert binary.max() < 1.2
+    assert (np.diff(escaping) > 0).all()
+
+
+@pytest.mark.slow
+def test_close_starts_of_three_bodies_go_on() -> None:
+    """4,096 of them, at rest: all fall into close approaches."""
+    found = _bodies([1, 1, 1]).regularized("heggie")
+    random = np.random.default_rng(0)
+    places = random.uniform(-0.1, 0.1, (4_096, 6))
+    starts = found.start(np.concatenate([places, 0 * places], axis=1))
+    many = hamsym.solve_many(found.H, starts, (0, 0.5), tol=1e-6)
+    assert many.success.mean() > 0.99
+    t, z = found.to_old(many(0.5))
+    assert (t > 0).all()
+    energy = found.original.compile("numpy").energy
+    before = energy(np.concatenate([places, 0 * places], axis=1))
+    assert np.median(np.abs(energy(z) / before - 1)) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("H", "options", "error", "message"),
+    [
+        (_bodies([1, 1]), {}, VariableError, "three bodies in"),
+        (SPACE, {}, VariableError, "three bodies in"),
+        (_bodies([1, 1, 1]), {"coordinates": [["x1", "y1"]]}, VariableError, "three bodies"),
+        (_bodies([1, 1, 1]), {"about": {"x1": 1}}, InputError, "heggie removes all of them"),
+        (_bodies([1, 1, 1]), {"coordinates": [["x1", "y1"], ["x2", "y2"]]}, VariableError, "each"),
+        (_moved("p_x1**2/2", "p_x1**2/3"), {}, InputError, "point masses"),
+        (_moved("p_x1**2/2", "p_x1**2/2 + x1**2"), {}, InputError, "point masses"),
+        (_moved("p_x1**2/2", "p_x1**2/2 + y2*p_x1"), {}, InputError, "point masses"),
+        (_moved("sqrt(", "(1 + "), {}, InputError, "point masses"),
+    ],
+)
+def test_what_are_no_bodies(H: Any, options: dict[str, Any], error: Any, message: str) -> None:
+    with pytest.raises(error, match=message):
+        Hamiltonian.of(H).regularized("heggie", **options)
+
+
 def test_spatial_map_is_canonical_where_the_bilinear_form_is_zero() -> None:
     found = Hamiltonian(SPACE).regularized("kustaanheimo-stiefel")
     z = sympy.symbols("u1:5 p_u1:5", real=True)
