@@ -162,5 +162,5 @@ def _syntax_error(text: str, error: SyntaxError, start: int) -> ParseError:
 
 def _equation_error(column: int) -> ParseError:
     return ParseError(
-        "=", column, "is an equation sign", "give only the right-hand side of H = ..."
+        "=", column, "is an equation sign", "give a formula, the right-hand side of an equation"
     )

@@ -75,7 +75,8 @@ def integrate_fixed(
     if warning and not problem:
         message = f"{message}: {warning}"
         warnings.warn(message, StepSizeWarning, stacklevel=4)
-    problem = problem or unseen
+    lost = H.conserves_energy and not math.isfinite(drift)
+    problem = problem or unseen or (message if lost else "")
     return Trajectory(
         t=times,
         z=z.reshape(*members.shape, *z.shape[1:]),

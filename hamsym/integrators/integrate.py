@@ -126,7 +126,7 @@ def integrate(
     Returns
     -------
     Trajectory
-        If a step could not be solved, the states became non-finite or Ctrl-C was pressed,
+        If a step could not be solved, the states or H became non-finite or Ctrl-C was pressed,
         ``success`` is False, the message gives the reason, and the trajectory ends there.
 
     Warns

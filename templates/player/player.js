@@ -4,6 +4,7 @@
    player.html.jinja, `system` is a module that hamsym generates for JavaScript, and `problem` is what
    hamsym.workbench.lessons.problem writes. `changed` is told of new values. */
 
+const WHILE_MOVING = 1e-8; // tolerance of steps while a slider moves; pictures show no difference
 const POSITIONS = 400; // of a slider, whole numbers: browsers count in decimals
 
 /** A typed number, which may be a multiple of pi such as 3*pi/4; NaN if it is none. */
@@ -92,8 +93,8 @@ export class Player {
       : "Accuracy: not known, since hamsym.solve or this page does not reach the end of the motion.";
   }
 
-  solved() {
-    return new Trajectory(this.field, this.start, this.span, this.problem.method, TOLERANCE).advance(MOST_STEPS + 1);
+  solved(tolerance = TOLERANCE) {
+    return new Trajectory(this.field, this.start, this.span, this.problem.method, tolerance).advance(MOST_STEPS + 1);
   }
 
   // -- elements --------------------------------------------------------------------------------
@@ -143,7 +144,7 @@ export class Player {
     };
     slider.addEventListener("input", () => {
       set(Number((low + ((high - low) * slider.value) / POSITIONS).toPrecision(4)));
-      this.change();
+      this.change(WHILE_MOVING);
     });
     field.addEventListener("change", () => {
       const value = numberIn(field.value);
@@ -194,12 +195,16 @@ export class Player {
   }
 
   /** Compute and draw in the next frame; moves of a slider in between count once. */
-  change() {
+  change(tolerance = TOLERANCE) {
     for (const { show } of this.sliders) show();
     this.stale = true;
+    this.tolerance = tolerance;
     this.redraw();
     clearTimeout(this.telling);
-    this.telling = setTimeout(() => this.changed(this.values, this), 300);
+    this.telling = setTimeout(() => {
+      if (this.tolerance !== TOLERANCE) this.change();
+      else this.changed(this.values, this);
+    }, 300);
   }
 
   redraw() {
@@ -223,7 +228,7 @@ export class Player {
 
   compute() {
     const { dof, natural, conserved, names } = this.problem;
-    this.trajectory = this.solved();
+    this.trajectory = this.solved(this.tolerance);
     const samples = (this.samples = this.trajectory.samples()), { count, dim } = samples;
     const energy = new Float64Array(count), potential = new Float64Array(count), kinetic = new Float64Array(count);
     for (let k = 0; k < count; k++) {

@@ -119,6 +119,12 @@ def test_keys_move_sliders_and_the_address_keeps_them(written: Path, page: Page)
     new = number(page, name)
     assert new > old
     until(page, f"location.hash.includes('{name}={new:g}')")
+    # Coarser steps while a slider moves are followed by those of the tolerance.
+    drift = re.search(
+        r"constant to (.*?) of", page.inner_text("[data-part=status]").replace("−", "-")
+    )
+    assert drift
+    assert float(drift[1]) < 1e-9
     page.reload()
     until(page, "document.querySelector('[data-part=accuracy]').textContent")
     assert number(page, name) == new

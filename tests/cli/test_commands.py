@@ -333,7 +333,7 @@ def test_energy_drift_warns_and_a_section_is_refused(
 def test_nan_energy_is_reported(capsys: Captured) -> None:
     arguments = ["p**2/2 + log(x)", "--z0", "-1,1", "--t-end", "0.5", "--steps", "100"]
     status, out, err = run(capsys, "integrate", *arguments)
-    assert status == 0
+    assert status == 1
     assert "energy error nan" in out
     assert "H is not finite on the trajectory: take more steps" in err
 

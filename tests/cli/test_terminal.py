@@ -155,9 +155,13 @@ def offered(
         ("hamsym solve H", "--targ", ["--target-loss", "--target-ell-max"]),
         ("hamsym solve H --method", "", list(METHODS)),
         ("hamsym solve H --activation", "s", ["sin", "sigmoid"]),
-        ("hamsym integrate H --method", "gau", ["gauss4", "gauss6"]),
+        ("hamsym integrate H --method", "gau", [f"gauss{n}" for n in (4, 6, 8, 10, 12)]),
         ("hamsym integrate H --method", "", [*INTEGRATORS, "yoshida4"]),
-        ("hamsym compare H --with", "yoshida4,ga", ["yoshida4,gauss4", "yoshida4,gauss6"]),
+        (
+            "hamsym compare H --with",
+            "yoshida4,ga",
+            [f"yoshida4,gauss{n}" for n in (4, 6, 8, 10, 12)],
+        ),
         ("hamsym source H --backend", "", list(BACKENDS)),
         ("hamsym source H --part", "lo", ["loss"]),
         ("hamsym certify", "orb", ["orb"]),  # the shell completes files itself

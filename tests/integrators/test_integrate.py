@@ -749,7 +749,7 @@ def test_too_long_steps_raise_a_warning(
 ) -> None:
     with pytest.warns(StepSizeWarning) as caught:
         found = hamsym.integrate(formula, start, span, **options)
-    assert found.success
+    assert found.success == ("log" not in formula)
     assert str(caught[0].message) == found.message
     assert caught[0].filename == __file__
     assert not found.drift <= 0.01
