@@ -46,6 +46,7 @@ _MOST_GROWTH = 100  # the limit per operation and symbol of H; many bodies stay 
 
 
 _MOST_ANGLES = 3  # in fractions that are expanded to see whether they vanish
+_MOST_FACTORED = 80  # operations of an expression that is factored for its singular values
 _HIGH_POWER = 4  # exponent above which a power varies much faster than its base
 
 
@@ -300,10 +301,18 @@ def smallest_singular_value(
         i, j = block
         a, b, c = (entries.get(index, zero) for index in ((i, i), (i, j), (j, j)))
         # The eigenvalues are middle +- radius.
-        middle = (a + c) / 2
-        radius = sympy.sqrt(sympy.factor_terms(((a - c) / 2) ** 2 + b**2))
+        middle = _factored((a + c) / 2)
+        radius = sympy.sqrt(_factored(((a - c) / 2) ** 2 + b**2))
         magnitudes.add(sympy.Abs(sympy.Abs(middle) - radius) if middle else radius)
     return sympy.Min(*magnitudes)
+
+
+def _factored(expr: sympy.Expr) -> sympy.Expr:
+    """An expression over one denominator and in factors, if it is short and becomes shorter."""
+    plain = sympy.factor_terms(expr)
+    if expr.count_ops() > _MOST_FACTORED:
+        return plain
+    return min(plain, sympy.factor(sympy.together(expr)), key=sympy.count_ops)
 
 
 def split(
