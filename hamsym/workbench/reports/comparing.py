@@ -20,7 +20,7 @@ from hamsym.workbench.reports.inline_svg import inline_svg
 
 # Integrators, and the share of the time for them: one alone where several take too long.
 _TRIES = {"usual": 0.7, "dop853": 0.3}
-_MOST_STEPS = 10_000_000  # in the search for the steps that reach the error of the solution
+_MOST_STEPS = 1_000_000  # in the search for the steps that reach the error of the solution
 
 
 @dataclass(frozen=True)
