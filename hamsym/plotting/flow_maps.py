@@ -100,7 +100,7 @@ def _caption(flow: FlowMap, *sentences: Any, over_time: bool, planes: bool) -> l
         parts.append(
             f"Shaded: range of {_STARTS} random starts of the box; lines: {_SHOWN} of them"
         )
-    parts.append(flow.message)
+    parts.append(flow.message[:1].upper() + flow.message[1:])
     fixed = {name: v for name, v in H.parameters.items() if name not in varied}
     return caption_words(H, *parts, *sentences, parameters=fixed)
 
