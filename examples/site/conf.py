@@ -22,6 +22,7 @@ extensions = [
     "sphinx_copybutton",
     "sphinx_gallery.gen_gallery",
     # In this folder:
+    "accessible",
     "docstrings",
     "mathml",
     "navigation",
