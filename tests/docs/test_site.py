@@ -15,6 +15,8 @@ from docstrings import described
 from links import problems
 from test_reference import CLASSES, PUBLIC, found, public_attributes
 
+from hamsym.support.method_object import Method
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -52,6 +54,17 @@ def test_every_public_attribute_has_an_entry(site: Path) -> None:
     wanted = set(PUBLIC)
     for path in CLASSES:
         arguments = described(found(path), "Parameters")  # entries of their own kind
-        names = public_attributes(found(path)).keys() - set(arguments)
+        # What all methods of solution have is described in their common class.
+        common = described(Method) if issubclass(found(path), Method) else ()
+        names = public_attributes(found(path)).keys() - {*arguments, *common}
         wanted |= {f"{path}.{name}" for name in names}
     assert sorted(wanted - entries) == []
+
+
+@pytest.mark.slow
+def test_pages_are_operable_by_keys_and_screen_readers(site: Path) -> None:
+    for path in site.rglob("*.html"):
+        page = path.read_text("utf-8")
+        assert 'role="heading">' not in page
+        assert "<pre>" not in page
+        assert '<aside class="' not in page
