@@ -432,10 +432,11 @@ def implicit(
     """Implicit Runge-Kutta methods: stages by iteration, where it is slow by Newton's method.
 
     Each row of states contains the state and the rates at the last step's stages, which are
-    extrapolated to the initial guess. Iteration goes on while corrections shrink to a third, and
-    the factors of Newton's matrix are kept while they shrink tenfold. The sum over steps is
+    extrapolated to the initial guess. Iteration goes on while corrections shrink to a third,
+    and the factors of Newton's matrix are kept while they shrink tenfold. The sum over steps is
     compensated. The coefficients a_ij are shares[i, j] times b_j; shares[i, j] and shares[j, i]
-    add up to 1 exactly, so that the rounded method is symplectic (Antonana, Makazaga & Murua 2017).
+    add up to 1 exactly, so that the rounded method is symplectic (Antonana, Makazaga & Murua
+    2017).
     """
     stages = weights.shape[0]
     increments = np.empty((stages, DIM))
@@ -523,8 +524,8 @@ def implicit(
                                 if not math.isfinite(correction):
                                     largest = math.inf
                         change = max(change, largest / scale)
-                    # Converged when corrections are round-off: small and no longer shrinking or,
-                    # of Newton's method, negligible. The rest of an iteration is not: it has one
+                    # Converged when corrections are round-off: small and no longer shrinking,
+                    # or, of Newton's method, negligible. The rest of an iteration has one
                     # direction, in which the energy would drift.
                     negligible = change <= 1e-16 and (newton or change == 0.0)
                     if negligible or (change >= previous and change <= 1e-11):
