@@ -41,6 +41,13 @@ from .networks.methods import LevenbergMarquardt as LevenbergMarquardt
 from .networks.methods import NetworkChain as NetworkChain
 from .networks.methods import SSBroyden as SSBroyden
 from .networks.objective import Regularizer as Regularizer
+from .invariant_manifolds.connection import Connection as Connection
+from .invariant_manifolds.connection import Connections as Connections
+from .invariant_manifolds.connection import connections as connections
+from .invariant_manifolds.continuation import connection_family as connection_family
+from .invariant_manifolds.manifold import Manifold as Manifold
+from .invariant_manifolds.manifold import Manifolds as Manifolds
+from .invariant_manifolds.manifold import manifolds as manifolds
 from .orbits.certificate import OrbitCertificate as OrbitCertificate
 from .orbits.family import OrbitFamily as OrbitFamily
 from .orbits.family import orbit_family as orbit_family

@@ -1,0 +1,312 @@
+"""Local stable and unstable manifolds as polynomials, by the parameterization method.
+
+The unstable manifold of a fixed point z* is z = W(u) with a polynomial W of the coordinates u of
+the unstable subspace, in which the dynamics is linear (Cabre, Fontich & de la Llave 2003):
+
+    F(W(u)) = DW(u) Lambda u          at an equilibrium of z' = F(z), with its exponents Lambda,
+    P(W(u)) = W(M u)                  at a fixed point of a map P, with its multipliers M.
+
+W begins with z* and the eigenvectors. Its further coefficients come from Newton's method with the
+derivative at z*: in both cases a matrix of shape (dim, dim) for each power of u. The map P is the
+flow over the period of an orbit, or several, forwards or backwards.
+
+The ball |u| <= 1 is made so small that W is accurate on it. The invariance error is the distance of
+the left side from the manifold: the part of the defect that is not tangent to it, at other points
+than those of the fit. Complex exponents come in pairs with conjugate coordinates.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from hamsym.errors import InputError
+from hamsym.numerics.scales import coupled_sizes
+
+_TERMS, _DEGREE = 50, 10  # most terms of W, and its largest degree
+_NEWTON = 12  # iterations
+_SHRINKS = 60  # attempts to find the size of the ball
+_ALIKE = 1e8  # condition of the eigenvectors above which they are not told apart
+_POINTS = 40  # at which the error is measured
+_RESONANT = 1e-10  # singular values, relative to the largest, of terms that no equation fixes
+_ROUND_OFF = 1e-14  # entries of an inverse, relative to the largest
+_ENOUGH = 1e-14  # relative change of the coefficients that ends the iteration
+
+
+class Dynamics(Protocol):
+    """What moves a fixed point's neighbourhood: a vector field, or a map."""
+
+    #: The fixed point, shape (dim,).
+    point: np.ndarray
+    #: Derivative of the vector field, or of the map, there.
+    matrix: np.ndarray
+    #: |J Hess|, and a time, for the sizes of components.
+    coupling: np.ndarray
+    time: float
+
+    def factors(self, powers: np.ndarray, rates: np.ndarray) -> np.ndarray:
+        """Of W_k on the right side, for the powers k: k . Lambda, or M^k."""
+
+    def operator(self, factor: complex) -> np.ndarray:
+        """The derivative of both sides' difference by W_k, without its powers."""
+
+    def defect(self, table: np.ndarray, series: np.ndarray, factors: np.ndarray) -> np.ndarray:
+        """Left side minus right side at points with a table of powers, shape (n, dim)."""
+
+    def along(self, states: np.ndarray) -> np.ndarray:
+        """Further tangent vectors of the manifold at states, shape (n, dim, m)."""
+
+
+@dataclass(frozen=True, eq=False)
+class LocalManifold:
+    """The polynomial W on the ball \\|u\\| <= 1.
+
+    Attributes
+    ----------
+    point : numpy.ndarray
+        The fixed point W(0), shape (dim,).
+    rates : numpy.ndarray
+        Exponents of an equilibrium, in units of 1/time, or multipliers of the map, away from the
+        point; complex, shape (n,), conjugate ones one after the other.
+    powers : numpy.ndarray
+        Powers of the coordinates in each term, shape (terms, n).
+    series : numpy.ndarray
+        Coefficients of W, complex, shape (terms, dim).
+    error : float
+        Invariance error: the largest distance of the image of W from the manifold, relative to the
+        size of each component on it.
+    scale : numpy.ndarray
+        These sizes, shape (dim,).
+    """
+
+    point: np.ndarray
+    rates: np.ndarray
+    powers: np.ndarray
+    series: np.ndarray
+    error: float
+    scale: np.ndarray
+
+    @property
+    def dimension(self) -> int:
+        """Number of coordinates."""
+        return len(self.rates)
+
+    def coordinates(self, real: np.ndarray) -> np.ndarray:
+        """Complex coordinates u of real ones of the same length, shape (..., n)."""
+        return _complex(np.asarray(real, dtype=float), self.rates)
+
+    def __call__(self, u: np.ndarray) -> np.ndarray:
+        """States W(u), shape (..., n) -> (..., dim)."""
+        return np.asarray(self.point + (_table(u, self.powers) @ self.series).real)
+
+    def tangents(self, u: np.ndarray) -> np.ndarray:
+        """Derivatives of W by the coordinates, complex, shape (..., n) -> (..., dim, n)."""
+        return _tangents(u, self.powers, self.series)
+
+
+def _complex(real: np.ndarray, rates: np.ndarray) -> np.ndarray:
+    """Pairs of real coordinates to conjugate ones where the exponents are conjugate."""
+    found = real.astype(complex)
+    for k in np.flatnonzero(rates.imag > 0):
+        found[..., k] = real[..., k] + 1j * real[..., k + 1]
+        found[..., k + 1] = found[..., k].conj()
+    return found
+
+
+def _table(u: np.ndarray, powers: np.ndarray) -> np.ndarray:
+    return np.asarray(np.prod(np.asarray(u)[..., None, :] ** powers, axis=-1))
+
+
+def _tangents(u: np.ndarray, powers: np.ndarray, series: np.ndarray) -> np.ndarray:
+    columns = []
+    for k in range(powers.shape[1]):
+        lower = powers.copy()
+        lower[:, k] = np.maximum(lower[:, k] - 1, 0)
+        columns.append(_table(u, lower) * powers[:, k] @ series)
+    return np.stack(columns, axis=-1)
+
+
+def parameterized(
+    dynamics: Dynamics, rates: np.ndarray, vectors: np.ndarray, size: float, wanted: float
+) -> LocalManifold:
+    """Find W on the largest ball, up to a size, on which its error is small enough.
+
+    - rates: Exponents or multipliers, complex, shape (n,), conjugate ones adjacent.
+    - vectors: Their eigenvectors, the columns, shape (dim, n).
+    - size: The factor of the vectors with which the search begins.
+    - wanted: Largest invariance error. If no ball has it, that with the least error is returned.
+
+    Raises
+    ------
+    InputError
+        If the eigenvectors are not independent.
+    """
+    if not np.linalg.cond(vectors) <= _ALIKE:
+        raise InputError(
+            "the exponents coincide and have too few eigenvectors; change a parameter a little"
+        )
+    powers = _powers(len(rates))
+    best: LocalManifold | None = None
+    for _ in range(_SHRINKS):
+        with np.errstate(all="ignore"):
+            found = _on_ball(dynamics, rates, size * vectors, powers)
+        if found is not None and (best is None or found.error < best.error):
+            best = found
+        if best is not None and best.error <= wanted:
+            break
+        if best is not None and found is not None and not found.error < 1e3 * best.error:
+            break  # round-off
+        size /= 2
+    if best is None:
+        raise InputError("the motion near the fixed point is not finite")
+    return best
+
+
+def _powers(count: int) -> np.ndarray:
+    """Powers of all terms up to the degree of as many coordinates, the constant first."""
+    degree = next(
+        k for k in range(_DEGREE, 0, -1) if math.comb(count + k, k) <= _TERMS or k == 2
+    )
+    found = [p for p in itertools.product(range(degree + 1), repeat=count) if sum(p) <= degree]
+    return np.array(sorted(found, key=lambda p: (sum(p), p[::-1])))
+
+
+def _on_ball(
+    dynamics: Dynamics, rates: np.ndarray, vectors: np.ndarray, powers: np.ndarray
+) -> LocalManifold | None:
+    """Solve for W; None if Newton's method does not come to finite numbers."""
+    count, degrees = len(rates), powers.sum(axis=1)
+    factors = dynamics.factors(powers, rates)
+    series = np.zeros((len(powers), len(vectors)), complex)
+    series[degrees == 1] = vectors.T[np.argmax(powers[degrees == 1], axis=1)]
+    table = _table(_complex(_ball(count, 2 * len(powers), seed=0), rates), powers)
+    expansion, higher = np.linalg.pinv(table), np.flatnonzero(degrees > 1)
+    units = _sizes(dynamics, vectors.T)
+    inverses = np.stack([_inverse(dynamics.operator(factors[k]), units) for k in higher])
+    before = math.inf
+    for _ in range(_NEWTON):
+        terms = expansion @ dynamics.defect(table, series, factors)
+        if not np.isfinite(terms).all():
+            return None
+        step = np.einsum("kij,kj->ki", inverses, terms[higher])
+        series[higher] -= step
+        change = float((np.abs(step) / units).max())
+        if not change < 1e6:
+            return None
+        if change <= _ENOUGH or (change < 1e-9 and change > before / 2):
+            break
+        before = change
+    u = _complex(_ball(count, _POINTS, seed=1), rates)
+    return _judged(dynamics, rates, powers, series, u)
+
+
+def _judged(
+    dynamics: Dynamics, rates: np.ndarray, powers: np.ndarray, series: np.ndarray, u: np.ndarray
+) -> LocalManifold | None:
+    """W with its error at points u, in its own sizes of the components."""
+    table = _table(u, powers)
+    moved = (table @ series).real
+    scale = _sizes(dynamics, moved)
+    if not np.isfinite(scale).all():
+        return None
+    defect = dynamics.defect(table, series, dynamics.factors(powers, rates)) / scale
+    tangents = _tangents(u, powers, series)
+    parts = [tangents.real, tangents.imag, dynamics.along(dynamics.point + moved)]
+    directions = np.concatenate(parts, axis=2) / scale[:, None]
+    lengths = np.linalg.norm(directions, axis=1, keepdims=True)
+    directions = directions / np.where(lengths > 0, lengths, 1.0)
+    if not (np.isfinite(defect).all() and np.isfinite(directions).all()):
+        return None
+    left = [d - D @ np.linalg.lstsq(D, d, rcond=1e-6)[0] for D, d in zip(directions, defect, strict=True)]
+    error = float(np.abs(left).max())
+    return LocalManifold(dynamics.point, rates, powers, series, error, scale)
+
+
+def _sizes(dynamics: Dynamics, rows: np.ndarray) -> np.ndarray:
+    """Sizes of components with those that others move; 1 where nothing moves."""
+    sizes = coupled_sizes(np.abs(rows).max(axis=0), dynamics.coupling, dynamics.time)
+    return np.where(sizes == 0, 1.0, sizes)
+
+
+def _inverse(operator: np.ndarray, units: np.ndarray) -> np.ndarray:
+    """The inverse of a matrix, or at a resonance that of least norm."""
+    scaled = operator * units / units[:, None]
+    found = np.linalg.pinv(scaled, rcond=_RESONANT)
+    # Components that are not coupled stay exactly zero.
+    found = np.where(np.abs(found) > _ROUND_OFF * np.abs(found).max(), found, 0.0)
+    return np.asarray(found * units[:, None] / units)
+
+
+def _ball(count: int, number: int, seed: int) -> np.ndarray:
+    """Points of the ball |u| <= 1 in as many dimensions, denser at its boundary."""
+    if count == 1:
+        turns = (np.arange(number) + 0.5) / number
+        return np.cos(np.pi * (turns if seed == 0 else turns * 0.97))[:, None]
+    random = np.random.default_rng(seed)
+    directions = random.normal(size=(number * count, count))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    radii = np.sin(np.pi / 2 * (np.arange(len(directions)) + 0.5) / len(directions))
+    return np.asarray(directions * radii[:, None])
+
+
+Function = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Flow:
+    """A vector field near an equilibrium; backwards in time it has the opposite sign."""
+
+    point: np.ndarray
+    matrix: np.ndarray
+    coupling: np.ndarray
+    time: float
+    #: (n, dim) -> (n, dim)
+    field: Function
+
+    def factors(self, powers: np.ndarray, rates: np.ndarray) -> np.ndarray:
+        return np.asarray(powers @ rates)
+
+    def operator(self, factor: complex) -> np.ndarray:
+        return (self.matrix - factor * np.eye(len(self.matrix))) * self.time
+
+    def defect(self, table: np.ndarray, series: np.ndarray, factors: np.ndarray) -> np.ndarray:
+        states = self.point + (table @ series).real
+        # In the unit of states: over the time of the slowest exponent.
+        return (self.field(states) - (table @ (series * factors[:, None])).real) * self.time
+
+    def along(self, states: np.ndarray) -> np.ndarray:
+        return np.zeros((*states.shape, 0))
+
+
+@dataclass(frozen=True, eq=False)
+class PeriodMap:
+    """The flow over a number of periods of an orbit, near its start."""
+
+    point: np.ndarray
+    matrix: np.ndarray
+    coupling: np.ndarray
+    time: float
+    #: (n, dim) -> (n, dim), rows of NaN where it is not known
+    map: Function
+    #: The vector field there, for an orbit without a clock.
+    field: Function | None
+
+    def factors(self, powers: np.ndarray, rates: np.ndarray) -> np.ndarray:
+        return np.asarray(np.prod(rates**-powers, axis=1))
+
+    def operator(self, factor: complex) -> np.ndarray:
+        return factor * self.matrix - np.eye(len(self.matrix))
+
+    def defect(self, table: np.ndarray, series: np.ndarray, factors: np.ndarray) -> np.ndarray:
+        sources = self.point + (table @ (series * factors[:, None])).real
+        return self.map(sources) - self.point - (table @ series).real
+
+    def along(self, states: np.ndarray) -> np.ndarray:
+        if self.field is None:
+            return np.zeros((*states.shape, 0))
+        return np.asarray(self.field(states))[..., None]
