@@ -35,12 +35,6 @@ from .flow_maps.flow_map import FlowMap as FlowMap
 from .hamiltonian import Hamiltonian as Hamiltonian
 from .integrators.integrate import integrate as integrate
 from .integrators.trajectory import Trajectory as Trajectory
-from .networks.methods import LBFGS as LBFGS
-from .networks.methods import Adam as Adam
-from .networks.methods import LevenbergMarquardt as LevenbergMarquardt
-from .networks.methods import NetworkChain as NetworkChain
-from .networks.methods import SSBroyden as SSBroyden
-from .networks.objective import Regularizer as Regularizer
 from .invariant_manifolds.connection import Connection as Connection
 from .invariant_manifolds.connection import Connections as Connections
 from .invariant_manifolds.connection import connections as connections
@@ -48,6 +42,12 @@ from .invariant_manifolds.continuation import connection_family as connection_fa
 from .invariant_manifolds.manifold import Manifold as Manifold
 from .invariant_manifolds.manifold import Manifolds as Manifolds
 from .invariant_manifolds.manifold import manifolds as manifolds
+from .networks.methods import LBFGS as LBFGS
+from .networks.methods import Adam as Adam
+from .networks.methods import LevenbergMarquardt as LevenbergMarquardt
+from .networks.methods import NetworkChain as NetworkChain
+from .networks.methods import SSBroyden as SSBroyden
+from .networks.objective import Regularizer as Regularizer
 from .orbits.certificate import OrbitCertificate as OrbitCertificate
 from .orbits.family import OrbitFamily as OrbitFamily
 from .orbits.family import orbit_family as orbit_family

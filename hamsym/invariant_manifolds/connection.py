@@ -1,4 +1,4 @@
-"""Connections: trajectories from one equilibrium or periodic orbit to another one, or back to it."""
+"""Connections: trajectories from one equilibrium or periodic orbit to another, or back to it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ import hamsym
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.invariant_manifolds.crossings import Cut, cut_of, nearby
-from hamsym.invariant_manifolds.growth import Starts
 from hamsym.invariant_manifolds.manifold import Manifold
 from hamsym.invariant_manifolds.meeting import Met, Side, meet
 from hamsym.invariant_manifolds.origins import Origin
@@ -76,8 +75,7 @@ class Connection(Drawn, Shown):
 
     def __repr__(self) -> str:
         return (
-            f"Connection(on {self.surface!r}, mismatch {self.mismatch:.1e}, "
-            f"success={self.success})"
+            f"Connection(on {self.surface!r}, mismatch {self.mismatch:.1e}, success={self.success})"
         )
 
     @property
@@ -246,9 +244,7 @@ def connections(
 def _require_fitting(unstable: Manifold, stable: Manifold) -> None:
     for each, kind in ((unstable, "unstable"), (stable, "stable")):
         if not isinstance(each, Manifold):
-            raise InputError(
-                f"{type(each).__name__} is not a manifold; give manifolds(...).{kind}"
-            )
+            raise InputError(f"{type(each).__name__} is not a manifold; give manifolds(...).{kind}")
         if each.kind != kind:
             raise InputError(f"a connection goes from an unstable to a stable manifold; give the "
                              f"{kind} one of the origin, not the {each.kind} one")  # fmt: skip
@@ -295,11 +291,10 @@ class _Search:
         """The different connections, the most transversal first."""
         cuts = self._cuts
         segments = [
-            cut.segments(_neighbours(each))
-            for cut, each in zip(cuts, self._manifolds, strict=True)
+            cut.segments(_neighbours(each)) for cut, each in zip(cuts, self._manifolds, strict=True)
         ]
         found: list[Connection] = []
-        for place in nearby(cuts[0], cuts[1], (segments[0], segments[1]), _CANDIDATES):
+        for place in nearby(cuts[0], cuts[1], (segments[0], segments[1]), self._scale, _CANDIDATES):
             sides = [
                 self._side(n, pair, share)
                 for n, pair, share in zip((0, 1), place.pairs, place.shares, strict=True)
@@ -349,7 +344,7 @@ def connection_of(
     origins: tuple[Origin, Origin], where: Surface, met: Met, scale: np.ndarray, tol: float
 ) -> Connection:
     """Judge a solution of the boundary-value problem."""
-    first, second = met.solutions
+    first, _ = met.solutions
     ends = [np.asarray(solution.error_estimate(solution.span[1])) for solution in met.solutions]
     error = float((np.abs(np.array(ends)) / scale).max())
     local = max(side.leaving.local.error for side in met.sides)

@@ -75,7 +75,11 @@ def connection_family(
         name, here, target = None, connection.energy, float(energy)
     else:
         name, here, target = _checked(connection, parameter)
-    path, step, least = [connection], (target - here) / steps, abs(target - here) / steps / 2**_HALVINGS
+    path, step, least = (
+        [connection],
+        (target - here) / steps,
+        abs(target - here) / steps / 2**_HALVINGS,
+    )
     while here != target:
         there = target if abs(target - here) <= 1.001 * abs(step) else here + step
         found = _next(path[-1], name, there, tol)
@@ -113,7 +117,7 @@ def _next(before: Connection, name: str | None, value: float, tol: float) -> Con
         ]
     except InputError:  # the origin is no more hyperbolic
         return None
-    where = parse_surface(first.H, before.surface)
+    where = parse_surface(sides[0].leaving.H, before.surface)
     scale = before.scale
     met = meet((sides[0], sides[1]), where, scale, tol)
     if met is None or not met.mismatch <= tol:

@@ -1,4 +1,4 @@
-"""Crossings of a section by the trajectories of a manifold, and curves of them between neighbours."""
+"""Crossings of a section by trajectories of a manifold, and curves of them between neighbours."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from hamsym.numerics.roots import refine, sign_changes
 from hamsym.problems.surface import Surface
 
 _NEAR = 0.5  # of the lengths of two segments: distance at which curves may cross
+_LEAST = 1e-6  # extent, relative to the size of a component, that is not round-off
 _BESIDE = 0.04  # of the extent: distance of places from which Newton's method goes to one solution
 
 
@@ -104,16 +105,18 @@ class Nearby(NamedTuple):
 
 
 def nearby(
-    first: Cut, second: Cut, segments: tuple[np.ndarray, np.ndarray], most: int
+    first: Cut, second: Cut, segments: tuple[np.ndarray, np.ndarray], scale: np.ndarray, most: int
 ) -> list[Nearby]:
     """Places where segments come nearest, in units of their lengths, and that are far apart.
 
     Points without neighbours are compared in units of the extent of both cuts.
+
+    - scale: Sizes of the components.
     """
     if not (len(first.t) and len(second.t)):
         return []
     extents = np.ptp(np.concatenate([first.z, second.z]), axis=0)
-    units = np.where(extents > 0, extents, 1.0)
+    units = np.maximum(extents, _LEAST * scale)
     a, b = ((cut.z / units)[pair] for cut, pair in zip((first, second), segments, strict=True))
     rising = first.rising[segments[0][:, 0]][:, None] == second.rising[segments[1][:, 0]]
     rows, columns = np.nonzero(rising)

@@ -103,7 +103,11 @@ class Starts:
         longest = elapsed + (leaving.period or 0.0) * (2 if _is_twisted(leaving) else 1)
         span = leaving.start, leaving.start + leaving.sign * longest
         states = leaving.states(self.directions, self.phases)
-        return solve_many(leaving.H, states, span, tol=tol, progress=False)
+        return solve_many(leaving.H, states, span, tol=tol, atol=self.least(tol), progress=False)
+
+    def least(self, tol: float) -> np.ndarray:
+        """Absolute tolerances: of the sizes of the components on the local manifold."""
+        return tol * self.leaving.local.scale
 
 
 def _is_ring(leaving: Departure) -> bool:
@@ -170,7 +174,7 @@ class _Samples:
         many, sign = starts.solved(elapsed, tol), starts.leaving.sign
         ends, failed = starts.planned(elapsed), np.zeros(len(starts.places), bool)
         for k in np.flatnonzero(~many.success).tolist():
-            last = _accurate_until(many, k, tol)
+            last = _accurate_until(many, k, tol, starts.least(tol))
             if not sign * last >= sign * ends[k]:
                 ends[k], failed[k] = last, True
         times = np.linspace(*many.span, _COMPARED)
@@ -183,7 +187,7 @@ class _Samples:
         return _Samples(*(np.concatenate(pair)[order] for pair in pairs))
 
 
-def _accurate_until(many: Solutions, k: int, tol: float) -> float:
+def _accurate_until(many: Solutions, k: int, tol: float, least: np.ndarray) -> float:
     """The last time until which the estimated error of a failed member is within the tolerance."""
     if not many.table.counts[many.members[k]]:
         return many.span[0]
@@ -192,7 +196,7 @@ def _accurate_until(many: Solutions, k: int, tol: float) -> float:
     with np.errstate(all="ignore"):
         errors = np.abs(solution.error_estimate(times))
         sizes = np.maximum.accumulate(np.abs(solution(times)), axis=0)
-        good = (errors <= tol * sizes).all(axis=1) & np.isfinite(sizes).all(axis=1)
+        good = (errors <= tol * sizes + least).all(axis=1) & np.isfinite(sizes).all(axis=1)
     good |= np.arange(len(times)) == 0
     return float(times[-1] if good.all() else times[int(np.argmin(good)) - 1])
 

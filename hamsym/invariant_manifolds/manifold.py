@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-import hamsym
 from hamsym.dynamics.equilibrium import Equilibrium
 from hamsym.errors import InputError
 from hamsym.families.solutions import Solutions
@@ -275,8 +274,7 @@ def manifolds(
     require_positive("spacing", spacing)
     require_positive("tol", tol)
     parts = [
-        _grown(origin, sign, duration, length, max(int(count), 3), spacing, tol)
-        for sign in (1, -1)
+        _grown(origin, sign, duration, length, max(int(count), 3), spacing, tol) for sign in (1, -1)
     ]
     return Manifolds(origin, *parts)
 
@@ -324,14 +322,14 @@ def _problem(
     failed, number = found.failed, len(found.ends)
     if not leaving.local.error <= tol:
         return (
-            f"the local manifold is accurate to {leaving.local.error:.1e} of its size only, limited "
-            "by round-off or by a resonance of exponents"
+            f"the local manifold is accurate to {leaving.local.error:.1e} of its size only, "
+            "limited by round-off or by a resonance of exponents"
         )
     if failed.any():
         k = int(np.argmax(failed))
         return (
             f"{int(failed.sum())} of {number} trajectories end early, for example number {k} at "
-            f"t = {found.ends[k]:.6g}: {found.many.message[k]}"
+            f"t = {found.ends[k]:.6g}: {str(found.many.message[k]).split(';')[0]}"
         )
     if short.any():
         return f"{int(short.sum())} of {number} trajectories do not reach the length {length:g}"

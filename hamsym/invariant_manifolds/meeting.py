@@ -92,7 +92,8 @@ class Side:
         leaving = self.leaving
         span = leaving.start, leaving.start + leaving.sign * self.time
         for tol in _TOLERANCES:
-            found = solve(leaving.H, self.start(), span, tol=tol, progress=False)
+            least = tol * leaving.local.scale
+            found = solve(leaving.H, self.start(), span, tol=tol, atol=least, progress=False)
             if found.success:
                 return found
         return None
@@ -105,9 +106,7 @@ class Side:
             columns.append(leaving.by_phase(self.direction, self.phase))
         moved = np.asarray(solution.sensitivity(end)) @ np.array(columns).T if columns else None
         system = leaving.H.compile("numpy")
-        rate = leaving.sign * np.asarray(
-            system.vector_field(*system.arguments(solution(end), end))
-        )
+        rate = leaving.sign * np.asarray(system.vector_field(*system.arguments(solution(end), end)))
         return rate[:, None] if moved is None else np.concatenate([moved, rate[:, None]], axis=1)
 
 
@@ -135,11 +134,10 @@ def meet(sides: tuple[Side, Side], surface: Surface, scale: np.ndarray, tol: flo
     best: Met | None = None
     worse = 0
     for iteration in range(_NEWTON):
-        found = sides[0].solved(), sides[1].solved()
-        if found[0] is None or found[1] is None:
+        first, second = sides[0].solved(), sides[1].solved()
+        if first is None or second is None:
             return best
-        first, second = found
-        ends = [solution(solution.span[1]) for solution in found if solution is not None]
+        ends = first(first.span[1]), second(second.span[1])
         slope, value = _slope(surface, ends[0], first.span[1], scale)
         size = float(np.abs(slope * scale).max())
         rest = np.append((ends[0] - ends[1]) / scale, value / size)

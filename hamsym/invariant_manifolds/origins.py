@@ -31,8 +31,8 @@ from hamsym.symbolic.derivatives import connected_blocks
 
 Origin: TypeAlias = Equilibrium | PeriodicOrbit
 
-_HYPERBOLIC = 1e-4  # distance of |multiplier| from 1 that round-off does not cause
-_GROWTH, _TURNS = 2.0, 64  # least multiplier of the map, and most periods that it takes
+_LEAST = 1.01  # size of a multiplier; nearer to 1 round-off moves trivial ones
+_GROWTH = 2.0  # least multiplier of the map, which takes as many periods as that needs
 _NONLINEAR = 0.3  # share of the linear force that others reach at the radius of an equilibrium
 _DOUBLINGS = 200  # beyond which H is quadratic
 _NOISE = 1e-13  # entries, relative to the largest in suitable units, that are round-off
@@ -144,7 +144,8 @@ def _of_equilibrium(origin: Equilibrium, sign: int, wanted: float) -> Departure:
 
 def _coupled(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A matrix without couplings that are round-off in units that balance it, and its sizes."""
-    _, (units, _) = scipy.linalg.matrix_balance(matrix, permute=False, separate=True)
+    with np.errstate(invalid="ignore"):  # scipy takes the units for numbers of a permutation
+        units = np.diag(scipy.linalg.matrix_balance(matrix, permute=False)[1])
     balanced = np.abs(matrix * units / units[:, None])
     kept = np.where(balanced > _NOISE * balanced.max(), matrix, 0.0)
     return kept, np.abs(kept)
@@ -154,7 +155,7 @@ def _eigenvectors(matrix: np.ndarray, least: float) -> tuple[np.ndarray, np.ndar
     """Eigenvalues with real parts above a bound, the fastest first, conjugate ones adjacent."""
     size = len(matrix)
     values, vectors = np.empty(size, complex), np.zeros((size, size), complex)
-    pairs = [*map(tuple, np.argwhere(matrix).tolist()), *((k, k) for k in range(size))]
+    pairs = [*((i, j) for i, j in np.argwhere(matrix).tolist()), *((k, k) for k in range(size))]
     for block in connected_blocks(pairs, size):  # so that what is not coupled stays zero
         values[block], vectors[np.ix_(block, block)] = np.linalg.eig(matrix[np.ix_(block, block)])
     chosen = [k for k in range(size) if values[k].real > least and values[k].imag >= 0]
@@ -164,6 +165,8 @@ def _eigenvectors(matrix: np.ndarray, least: float) -> tuple[np.ndarray, np.ndar
 def _paired(
     values: np.ndarray, vectors: np.ndarray, chosen: list[int]
 ) -> tuple[np.ndarray, np.ndarray]:
+    if not chosen:
+        return np.empty(0, complex), np.empty((len(vectors), 0), complex)
     rates, columns = [], []
     for k in sorted(chosen, key=lambda k: -abs(values[k])):
         vector = vectors[:, k] / vectors[np.argmax(np.abs(vectors[:, k])), k]
@@ -209,24 +212,18 @@ def _of_orbit(orbit: PeriodicOrbit, sign: int, wanted: float) -> Departure:
     if not orbit.success:
         raise InputError(f"the orbit is not accurate: {orbit.message}")
     H, matrix = orbit.H, orbit.monodromy
-    multipliers = orbit.shift_multipliers**orbit.problem.closing.order
     if sign < 0:
         matrix = np.linalg.inv(matrix) if H.forces else symplectic_inverse(matrix)
-        multipliers = 1 / multipliers
-    away = multipliers[np.abs(multipliers) > 1 + _HYPERBOLIC]
-    if not len(away):
+    coupling = _coupled(np.abs(_jacobians(orbit)).mean(axis=0))[1]
+    scale = coupled_sizes(orbit.arc.scale, coupling, orbit.period)
+    rates, vectors = _away(matrix * scale / scale[:, None])
+    if not len(rates):
+        largest = float(np.abs(orbit.multipliers).max())
         raise InputError(
             f"no trajectory leaves this orbit exponentially: it is {orbit.stability}; manifolds "
-            "need a multiplier off the unit circle"
+            f"need a multiplier above {_LEAST:g} in size, and the largest is {largest:.6g}"
         )
-    scale = orbit.arc.scale
-    rates, vectors = _chosen(matrix * scale / scale[:, None], away)
     turns = math.ceil(math.log(_GROWTH) / math.log(float(np.abs(rates).min())))
-    if turns > _TURNS:
-        raise InputError(
-            f"a multiplier, of size {np.abs(rates).min():.6g}, is too near to the unit circle: the "
-            f"manifold would double in {turns} periods"
-        )
     period, start = orbit.period, orbit.problem.start
     point, time = orbit.z0, turns * period
 
@@ -238,8 +235,9 @@ def _of_orbit(orbit: PeriodicOrbit, sign: int, wanted: float) -> Departure:
     around = PeriodMap(
         point,
         np.linalg.matrix_power(matrix, turns),
-        _coupled(np.abs(_jacobians(orbit)).mean(axis=0))[1],
+        coupling,
         period,
+        scale,
         _map_of(H, (start, start + sign * time)),
         field if H.time is None else None,
     )
@@ -249,17 +247,14 @@ def _of_orbit(orbit: PeriodicOrbit, sign: int, wanted: float) -> Departure:
     return Departure(H, local, sign, start, rates, period, folding)
 
 
-def _chosen(matrix: np.ndarray, away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Eigenvalues and eigenvectors of a monodromy matrix for these multipliers."""
+def _away(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues off the unit circle and eigenvectors of a monodromy matrix."""
+    if not np.isfinite(matrix).all():
+        raise InputError("the monodromy matrix of the orbit is not finite")
     values, vectors = np.linalg.eig(matrix)
     values, vectors = values.astype(complex), vectors.astype(complex)
     vectors[np.abs(vectors) < _NOISE * np.abs(vectors).max(axis=0)] = 0.0
-    left, chosen = set(range(len(values))), []
-    for multiplier in away:
-        k = min(left, key=lambda k: abs(values[k] - multiplier))
-        left.discard(k)
-        if values[k].imag >= 0:
-            chosen.append(k)
+    chosen = [k for k, m in enumerate(values) if abs(m) > _LEAST and m.imag >= 0]
     return _paired(values, vectors, chosen)
 
 
@@ -269,13 +264,14 @@ def _jacobians(orbit: PeriodicOrbit) -> np.ndarray:
     return np.asarray(system.jacobian(*system.arguments(orbit(times), times)))
 
 
-def _map_of(H: Hamiltonian, span: tuple[float, float]) -> Callable[[np.ndarray], np.ndarray]:
+def _map_of(H: Hamiltonian, span: tuple[float, float]) -> Callable[..., np.ndarray]:
     """The flow over a span, to the smallest tolerance that all its members meet."""
     tolerances: list[Any] = list(_TOLERANCES)
 
-    def image(states: np.ndarray) -> np.ndarray:
+    def image(states: np.ndarray, sizes: np.ndarray) -> np.ndarray:
         while True:
-            many = solve_many(H, states, span, tol=tolerances[0], progress=False)
+            tol = tolerances[0]
+            many = solve_many(H, states, span, tol=tol, atol=tol * sizes, progress=False)
             if many.success.all() or len(tolerances) == 1:
                 return np.where(many.success[:, None], many(span[1]), np.nan)
             tolerances.pop(0)

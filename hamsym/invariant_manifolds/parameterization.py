@@ -21,7 +21,7 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
 
@@ -30,36 +30,86 @@ from hamsym.numerics.scales import coupled_sizes
 
 _TERMS, _DEGREE = 50, 10  # most terms of W, and its largest degree
 _NEWTON = 12  # iterations
-_SHRINKS = 60  # attempts to find the size of the ball
+_SHRINKS, _PATIENCE = 60, 4  # attempts to find the size of the ball, and those without success
 _ALIKE = 1e8  # condition of the eigenvectors above which they are not told apart
 _POINTS = 40  # at which the error is measured
 _RESONANT = 1e-10  # singular values, relative to the largest, of terms that no equation fixes
+_PARALLEL = 1e-6  # singular values, relative to the largest, of one tangent direction
 _ROUND_OFF = 1e-14  # entries of an inverse, relative to the largest
 _ENOUGH = 1e-14  # relative change of the coefficients that ends the iteration
 
 
-class Dynamics(Protocol):
-    """What moves a fixed point's neighbourhood: a vector field, or a map."""
+Function = Callable[[np.ndarray], np.ndarray]
 
-    #: The fixed point, shape (dim,).
+
+@dataclass(frozen=True, eq=False)
+class Flow:
+    """A vector field near an equilibrium; backwards in time it has the opposite sign."""
+
+    #: The equilibrium, shape (dim,).
     point: np.ndarray
-    #: Derivative of the vector field, or of the map, there.
+    #: Derivative of the vector field there.
     matrix: np.ndarray
-    #: |J Hess|, and a time, for the sizes of components.
+    #: Its sizes, and the time of the slowest exponent, for the sizes of components.
     coupling: np.ndarray
     time: float
+    #: (n, dim) -> (n, dim)
+    field: Function
+    units = None
 
     def factors(self, powers: np.ndarray, rates: np.ndarray) -> np.ndarray:
-        """Of W_k on the right side, for the powers k: k . Lambda, or M^k."""
+        """Of the terms of W on the right side of its equation."""
+        return np.asarray(powers @ rates)
 
     def operator(self, factor: complex) -> np.ndarray:
-        """The derivative of both sides' difference by W_k, without its powers."""
+        """Derivative of the defect by a term of W with this factor, at the equilibrium."""
+        return (self.matrix - factor * np.eye(len(self.matrix))) * self.time
 
     def defect(self, table: np.ndarray, series: np.ndarray, factors: np.ndarray) -> np.ndarray:
         """Left side minus right side at points with a table of powers, shape (n, dim)."""
+        states = self.point + (table @ series).real
+        # In the unit of states: over the time of the slowest exponent.
+        return (self.field(states) - (table @ (series * factors[:, None])).real) * self.time
 
     def along(self, states: np.ndarray) -> np.ndarray:
         """Further tangent vectors of the manifold at states, shape (n, dim, m)."""
+        return np.zeros((*states.shape, 0))
+
+
+@dataclass(frozen=True, eq=False)
+class PeriodMap:
+    """The flow over a number of periods of an orbit, near its start; methods as of a Flow."""
+
+    point: np.ndarray
+    matrix: np.ndarray
+    #: Mean sizes of the derivative of the vector field along the orbit, its period, and the sizes
+    #: of components along it.
+    coupling: np.ndarray
+    time: float
+    units: np.ndarray
+    #: States, shape (n, dim), and the sizes of components that matter -> (n, dim); rows of NaN
+    #: where it is not known.
+    map: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    #: The vector field there, for an orbit without a clock.
+    field: Function | None
+
+    def factors(self, powers: np.ndarray, rates: np.ndarray) -> np.ndarray:
+        return np.asarray(np.prod(rates**-powers, axis=1))
+
+    def operator(self, factor: complex) -> np.ndarray:
+        return factor * self.matrix - np.eye(len(self.matrix))
+
+    def defect(self, table: np.ndarray, series: np.ndarray, factors: np.ndarray) -> np.ndarray:
+        sources, moved = (table @ (series * factors[:, None])).real, (table @ series).real
+        return self.map(self.point + sources, _sizes(self, moved)) - self.point - moved
+
+    def along(self, states: np.ndarray) -> np.ndarray:
+        if self.field is None:
+            return np.zeros((*states.shape, 0))
+        return np.asarray(self.field(states))[..., None]
+
+
+Dynamics: TypeAlias = Flow | PeriodMap
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,15 +202,16 @@ def parameterized(
         )
     powers = _powers(len(rates))
     best: LocalManifold | None = None
+    patience = _PATIENCE
     for _ in range(_SHRINKS):
         with np.errstate(all="ignore"):
             found = _on_ball(dynamics, rates, size * vectors, powers)
-        if found is not None and (best is None or found.error < best.error):
-            best = found
-        if best is not None and best.error <= wanted:
+        if found is not None and (best is None or 2 * found.error < best.error):
+            best, patience = found, _PATIENCE
+        elif best is not None:
+            patience -= 1
+        if best is not None and (best.error <= wanted or not patience):
             break
-        if best is not None and found is not None and not found.error < 1e3 * best.error:
-            break  # round-off
         size /= 2
     if best is None:
         raise InputError("the motion near the fixed point is not finite")
@@ -169,9 +220,7 @@ def parameterized(
 
 def _powers(count: int) -> np.ndarray:
     """Powers of all terms up to the degree of as many coordinates, the constant first."""
-    degree = next(
-        k for k in range(_DEGREE, 0, -1) if math.comb(count + k, k) <= _TERMS or k == 2
-    )
+    degree = next(k for k in range(_DEGREE, 0, -1) if math.comb(count + k, k) <= _TERMS or k == 2)
     found = [p for p in itertools.product(range(degree + 1), repeat=count) if sum(p) <= degree]
     return np.array(sorted(found, key=lambda p: (sum(p), p[::-1])))
 
@@ -222,14 +271,21 @@ def _judged(
     directions = directions / np.where(lengths > 0, lengths, 1.0)
     if not (np.isfinite(defect).all() and np.isfinite(directions).all()):
         return None
-    left = [d - D @ np.linalg.lstsq(D, d, rcond=1e-6)[0] for D, d in zip(directions, defect, strict=True)]
-    error = float(np.abs(left).max())
+    error = 0.0
+    for tangent, rest in zip(directions, defect, strict=True):
+        across = rest - tangent @ np.linalg.lstsq(tangent, rest, rcond=_PARALLEL)[0]
+        error = max(error, float(np.abs(across).max()))
     return LocalManifold(dynamics.point, rates, powers, series, error, scale)
 
 
 def _sizes(dynamics: Dynamics, rows: np.ndarray) -> np.ndarray:
-    """Sizes of components with those that others move; 1 where nothing moves."""
+    """Sizes of components with those that others move; 1 where nothing moves.
+
+    About an orbit they are at least the same share of the size of each component along it.
+    """
     sizes = coupled_sizes(np.abs(rows).max(axis=0), dynamics.coupling, dynamics.time)
+    if dynamics.units is not None:
+        sizes = np.maximum(sizes, dynamics.units * (sizes / dynamics.units).max())
     return np.where(sizes == 0, 1.0, sizes)
 
 
@@ -252,61 +308,3 @@ def _ball(count: int, number: int, seed: int) -> np.ndarray:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     radii = np.sin(np.pi / 2 * (np.arange(len(directions)) + 0.5) / len(directions))
     return np.asarray(directions * radii[:, None])
-
-
-Function = Callable[[np.ndarray], np.ndarray]
-
-
-@dataclass(frozen=True, eq=False)
-class Flow:
-    """A vector field near an equilibrium; backwards in time it has the opposite sign."""
-
-    point: np.ndarray
-    matrix: np.ndarray
-    coupling: np.ndarray
-    time: float
-    #: (n, dim) -> (n, dim)
-    field: Function
-
-    def factors(self, powers: np.ndarray, rates: np.ndarray) -> np.ndarray:
-        return np.asarray(powers @ rates)
-
-    def operator(self, factor: complex) -> np.ndarray:
-        return (self.matrix - factor * np.eye(len(self.matrix))) * self.time
-
-    def defect(self, table: np.ndarray, series: np.ndarray, factors: np.ndarray) -> np.ndarray:
-        states = self.point + (table @ series).real
-        # In the unit of states: over the time of the slowest exponent.
-        return (self.field(states) - (table @ (series * factors[:, None])).real) * self.time
-
-    def along(self, states: np.ndarray) -> np.ndarray:
-        return np.zeros((*states.shape, 0))
-
-
-@dataclass(frozen=True, eq=False)
-class PeriodMap:
-    """The flow over a number of periods of an orbit, near its start."""
-
-    point: np.ndarray
-    matrix: np.ndarray
-    coupling: np.ndarray
-    time: float
-    #: (n, dim) -> (n, dim), rows of NaN where it is not known
-    map: Function
-    #: The vector field there, for an orbit without a clock.
-    field: Function | None
-
-    def factors(self, powers: np.ndarray, rates: np.ndarray) -> np.ndarray:
-        return np.asarray(np.prod(rates**-powers, axis=1))
-
-    def operator(self, factor: complex) -> np.ndarray:
-        return factor * self.matrix - np.eye(len(self.matrix))
-
-    def defect(self, table: np.ndarray, series: np.ndarray, factors: np.ndarray) -> np.ndarray:
-        sources = self.point + (table @ (series * factors[:, None])).real
-        return self.map(sources) - self.point - (table @ series).real
-
-    def along(self, states: np.ndarray) -> np.ndarray:
-        if self.field is None:
-            return np.zeros((*states.shape, 0))
-        return np.asarray(self.field(states))[..., None]
