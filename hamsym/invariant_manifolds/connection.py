@@ -70,8 +70,6 @@ class Connection(Drawn, Shown):
     success: bool
     message: str
     met: Met = field(repr=False)
-    #: Units of the components.
-    scale: np.ndarray = field(repr=False)
 
     def __repr__(self) -> str:
         return (
@@ -283,9 +281,11 @@ class _Search:
     ) -> None:
         self._manifolds, self._where, self._tol = (unstable, stable), where, tol
         self._cuts = cuts
-        sizes = [np.abs(z).max(axis=0) for each in self._manifolds for _, z in each.paths]
-        largest = np.max(sizes, axis=0)
-        self._scale = np.where(largest > 0, largest, 1.0)
+
+    @property
+    def _least(self) -> np.ndarray:
+        """Sizes of components on both local manifolds."""
+        return np.max([each.departure.local.scale for each in self._manifolds], axis=0)
 
     def connections(self) -> list[Connection]:
         """The different connections, the most transversal first."""
@@ -294,14 +294,16 @@ class _Search:
             cut.segments(_neighbours(each)) for cut, each in zip(cuts, self._manifolds, strict=True)
         ]
         found: list[Connection] = []
-        for place in nearby(cuts[0], cuts[1], (segments[0], segments[1]), self._scale, _CANDIDATES):
+        known: list[Met] = []
+        for place in nearby(cuts[0], cuts[1], (segments[0], segments[1]), self._least, _CANDIDATES):
             sides = [
                 self._side(n, pair, share)
                 for n, pair, share in zip((0, 1), place.pairs, place.shares, strict=True)
             ]
-            met = meet((sides[0], sides[1]), self._where, self._scale, self._tol)
+            met = meet((sides[0], sides[1]), self._where, self._tol, known)
             if met is None or not met.mismatch <= self._tol:
                 continue
+            known.append(met)
             one = self._connection(met)
             if one.success and not any(self._same(one, other) for other in found):
                 found.append(one)
@@ -314,7 +316,7 @@ class _Search:
         if not abs(high - low - long) <= _SAME * long:
             return False
         apart = np.abs(np.array([one(low) - other(start), one(high) - other(end)]))
-        return bool((apart <= _SAME * self._scale).all())
+        return bool((apart <= _SAME * one.met.scale).all())
 
     def _side(self, n: int, pair: tuple[int, int], share: float) -> Side:
         """A guess between two crossings of neighbours."""
@@ -332,7 +334,7 @@ class _Search:
     def _connection(self, met: Met) -> Connection:
         return connection_of(
             (self._manifolds[0].origin, self._manifolds[1].origin),
-            self._where, met, self._scale, self._tol,
+            self._where, met, self._tol,
         )  # fmt: skip
 
 
@@ -341,12 +343,12 @@ def _neighbours(manifold: Manifold) -> np.ndarray:
 
 
 def connection_of(
-    origins: tuple[Origin, Origin], where: Surface, met: Met, scale: np.ndarray, tol: float
+    origins: tuple[Origin, Origin], where: Surface, met: Met, tol: float
 ) -> Connection:
     """Judge a solution of the boundary-value problem."""
     first, _ = met.solutions
     ends = [np.asarray(solution.error_estimate(solution.span[1])) for solution in met.solutions]
-    error = float((np.abs(np.array(ends)) / scale).max())
+    error = float((np.abs(np.array(ends)) / met.scale).max())
     local = max(side.leaving.local.error for side in met.sides)
     error = max(error, local)
     success, message = True, f"both parts meet to {met.mismatch:.1e}"
@@ -366,5 +368,4 @@ def connection_of(
         success,
         message,
         met,
-        scale,
     )

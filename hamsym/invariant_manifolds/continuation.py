@@ -118,11 +118,10 @@ def _next(before: Connection, name: str | None, value: float, tol: float) -> Con
     except InputError:  # the origin is no more hyperbolic
         return None
     where = parse_surface(sides[0].leaving.H, before.surface)
-    scale = before.scale
-    met = meet((sides[0], sides[1]), where, scale, tol)
+    met = meet((sides[0], sides[1]), where, tol)
     if met is None or not met.mismatch <= tol:
         return None
-    found = connection_of((first, second), where, met, scale, tol)
+    found = connection_of((first, second), where, met, tol)
     return found if found.success else None
 
 

@@ -11,7 +11,8 @@ from hamsym.invariant_manifolds.manifold import Manifold
 from hamsym.numerics.roots import refine, sign_changes
 from hamsym.problems.surface import Surface
 
-_NEAR = 0.5  # of the lengths of two segments: distance at which curves may cross
+_NEAR = 0.25  # of the lengths of two segments: distance at which curves may cross
+_USUAL = (0.1, 0.9)  # shares of the crossings below and above which some may have escaped
 _LEAST = 1e-6  # extent, relative to the size of a component, that is not round-off
 _BESIDE = 0.04  # of the extent: distance of places from which Newton's method goes to one solution
 
@@ -109,14 +110,15 @@ def nearby(
 ) -> list[Nearby]:
     """Places where segments come nearest, in units of their lengths, and that are far apart.
 
-    Points without neighbours are compared in units of the extent of both cuts.
+    Points without neighbours are compared in units of the extent of both cuts, without those that
+    escaped.
 
-    - scale: Sizes of the components.
+    - scale: Sizes of the components on the local manifolds.
     """
     if not (len(first.t) and len(second.t)):
         return []
-    extents = np.ptp(np.concatenate([first.z, second.z]), axis=0)
-    units = np.maximum(extents, _LEAST * scale)
+    low, high = np.quantile(np.concatenate([first.z, second.z]), _USUAL, axis=0)
+    units = np.maximum(high - low, _LEAST * scale)
     a, b = ((cut.z / units)[pair] for cut, pair in zip((first, second), segments, strict=True))
     rising = first.rising[segments[0][:, 0]][:, None] == second.rising[segments[1][:, 0]]
     rows, columns = np.nonzero(rising)
@@ -135,7 +137,8 @@ def nearby(
         one, other = segments[0][rows[k]].tolist(), segments[1][columns[k]].tolist()
         found.append(Nearby(((one[0], one[1]), (other[0], other[1])), (float(s[k]), float(t[k]))))
         same = (numbers[:, left] == numbers[:, [k]]).all(axis=0)
-        beside = np.abs(middles[left] - middles[k]).max(axis=(1, 2)) <= _BESIDE
+        radius = min(_BESIDE, 2 * float(lengths[k]))
+        beside = np.abs(middles[left] - middles[k]).max(axis=(1, 2)) <= radius
         left = left[~(same & beside)]
     return found
 

@@ -103,7 +103,8 @@ class Starts:
         longest = elapsed + (leaving.period or 0.0) * (2 if _is_twisted(leaving) else 1)
         span = leaving.start, leaving.start + leaving.sign * longest
         states = leaving.states(self.directions, self.phases)
-        return solve_many(leaving.H, states, span, tol=tol, atol=self.least(tol), progress=False)
+        least = self.least(tol).tolist()
+        return solve_many(leaving.H, states, span, tol=tol, atol=least, progress=False)
 
     def least(self, tol: float) -> np.ndarray:
         """Absolute tolerances: of the sizes of the components on the local manifold."""

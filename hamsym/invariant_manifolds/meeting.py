@@ -14,6 +14,7 @@ the others, so that Gauss-Newton steps converge quadratically.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -29,6 +30,8 @@ _NEWTON = 15  # iterations
 _TOLERANCES = (1e-12, 1e-11, 1e-10, 1e-9)  # of trajectories, the first that is met
 _PHASE, _ANGLE, _TIME = 0.25, 0.3, 0.2  # largest steps; of a time as a share of it
 _ASIDE = 1e-6  # of the motion: distance over which slopes of the section are measured
+_CLOSE = 1e-4  # difference of unknowns, relative for times, from which Newton's method converges
+_ENOUGH = 1e-3  # of the tolerance: mismatch that needs no further iteration
 _RANK = 1e-11  # singular values, relative to the largest, that count as zero
 
 
@@ -92,7 +95,7 @@ class Side:
         leaving = self.leaving
         span = leaving.start, leaving.start + leaving.sign * self.time
         for tol in _TOLERANCES:
-            least = tol * leaving.local.scale
+            least = (tol * leaving.local.scale).tolist()
             found = solve(leaving.H, self.start(), span, tol=tol, atol=least, progress=False)
             if found.success:
                 return found
@@ -121,15 +124,20 @@ class Met(NamedTuple):
     #: largest.
     transversality: float
     iterations: int
+    #: Sizes of the components.
+    scale: np.ndarray
 
 
-def meet(sides: tuple[Side, Side], surface: Surface, scale: np.ndarray, tol: float) -> Met | None:
+def meet(
+    sides: tuple[Side, Side], surface: Surface, tol: float, known: Sequence[Met] = ()
+) -> Met | None:
     """Solve for a connection near a guess; None if Newton's method does not converge to anything.
 
     The iteration goes on below the tolerance while the mismatch falls, and the best iterate is
-    returned, whether or not it meets the tolerance.
+    returned, whether or not it meets the tolerance. Sizes of components are those along both
+    trajectories, and on the local manifolds.
 
-    - scale: Units of the components.
+    - known: Solutions at which the iteration ends with None.
     """
     best: Met | None = None
     worse = 0
@@ -138,6 +146,8 @@ def meet(sides: tuple[Side, Side], surface: Surface, scale: np.ndarray, tol: flo
         if first is None or second is None:
             return best
         ends = first(first.span[1]), second(second.span[1])
+        local = [side.leaving.local.scale for side in sides]
+        scale = np.max([first.scale, second.scale, *local], axis=0)
         slope, value = _slope(surface, ends[0], first.span[1], scale)
         size = float(np.abs(slope * scale).max())
         rest = np.append((ends[0] - ends[1]) / scale, value / size)
@@ -153,17 +163,30 @@ def meet(sides: tuple[Side, Side], surface: Surface, scale: np.ndarray, tol: flo
         mismatch = float(np.abs(rest).max())
         if best is None or mismatch < best.mismatch:
             share = float(singular[-1] / singular[0])
-            best, worse = Met(sides, (first, second), mismatch, share, iteration), 0
+            best = Met(sides, (first, second), mismatch, share, iteration, scale)
+            worse = 0
         else:
             worse += 1
-        if worse > (0 if best.mismatch <= tol else 2):
+        if best.mismatch <= _ENOUGH * tol or worse > (0 if best.mismatch <= tol else 2):
             break
         step = -np.linalg.lstsq(scaled, rest, rcond=_RANK)[0] / np.where(units > 0, units, 1.0)
         limits = np.concatenate([sides[0].steps, sides[1].steps])
         step /= max(1.0, float((np.abs(step) / limits).max()))
         count = sides[0].unknowns
         sides = sides[0].moved(step[:count]), sides[1].moved(step[count:])
+        if any(_alike(sides, met.sides) for met in known):
+            return None
     return best
+
+
+def _alike(sides: tuple[Side, Side], others: tuple[Side, Side]) -> bool:
+    """Whether a guess is so near a solution that Newton's method goes there."""
+    return all(
+        abs(one.phase - other.phase) <= _CLOSE
+        and abs(one.time - other.time) <= _CLOSE * other.time
+        and bool((np.abs(one.direction - other.direction) <= _CLOSE).all())
+        for one, other in zip(sides, others, strict=True)
+    )
 
 
 def _slope(
