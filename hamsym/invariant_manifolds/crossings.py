@@ -108,7 +108,7 @@ class Nearby(NamedTuple):
 def nearby(
     first: Cut, second: Cut, segments: tuple[np.ndarray, np.ndarray], scale: np.ndarray, most: int
 ) -> list[Nearby]:
-    """Places where segments come nearest, in units of their lengths, and that are far apart.
+    """Places where segments cross, and where others, far apart, come near in their own lengths.
 
     Points without neighbours are compared in units of the extent of both cuts, without those that
     escaped.
@@ -123,34 +123,41 @@ def nearby(
     rising = first.rising[segments[0][:, 0]][:, None] == second.rising[segments[1][:, 0]]
     rows, columns = np.nonzero(rising)
     p, q, u, v = a[rows, 0], b[columns, 0], a[rows, 1] - a[rows, 0], b[columns, 1] - b[columns, 0]
-    s, t = _closest(p - q, u, v)
+    s, t, crossing = _closest(p - q, u, v)
     apart = np.linalg.norm(p - q + s[:, None] * u - t[:, None] * v, axis=1)
     lengths = np.linalg.norm(u, axis=1) + np.linalg.norm(v, axis=1)
     distance = apart / np.where(lengths > 0, lengths, 1.0)
     middles = np.stack([p + s[:, None] * u, q + t[:, None] * v], axis=1)
     numbers = np.stack([first.number[segments[0][rows, 0]], second.number[segments[1][columns, 0]]])
     left = np.flatnonzero(distance <= _NEAR)
-    left = left[np.argsort(distance[left], kind="stable")]
+    left = left[np.lexsort((distance[left], ~crossing[left]))]
     found: list[Nearby] = []
     while len(left) and len(found) < most:
         k = int(left[0])
         one, other = segments[0][rows[k]].tolist(), segments[1][columns[k]].tolist()
         found.append(Nearby(((one[0], one[1]), (other[0], other[1])), (float(s[k]), float(t[k]))))
         same = (numbers[:, left] == numbers[:, [k]]).all(axis=0)
-        radius = min(_BESIDE, 2 * float(lengths[k]))
-        beside = np.abs(middles[left] - middles[k]).max(axis=(1, 2)) <= radius
-        left = left[~(same & beside)]
+        beside = np.abs(middles[left] - middles[k]).max(axis=(1, 2)) <= _BESIDE
+        left = left[~(same & beside & ~crossing[left])]
+        left = left[left != k]
     return found
 
 
-def _closest(w: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Shares s, t from 0 to 1 that nearly minimise |w + s u - t v|, for rows of vectors."""
+def _closest(
+    w: np.ndarray, u: np.ndarray, v: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Shares s, t from 0 to 1 that nearly minimise |w + s u - t v|, for rows of vectors.
+
+    - returns inside: Whether the minimum without the bounds is within them.
+    """
     uu, vv, uv = (u * u).sum(1), (v * v).sum(1), (u * v).sum(1)
     uw, vw = (u * w).sum(1), (v * w).sum(1)
     with np.errstate(all="ignore"):
         determinant = uu * vv - uv * uv
-        s = np.where(determinant > 1e-12 * uu * vv, (uv * vw - vv * uw) / determinant, 0.0)
+        s = np.where(determinant > 1e-12 * uu * vv, (uv * vw - vv * uw) / determinant, np.nan)
+        t = (vw + s * uv) / vv
+        inside = (s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)
         s = np.clip(np.nan_to_num(s), 0.0, 1.0)
         t = np.clip(np.nan_to_num((vw + s * uv) / vv), 0.0, 1.0)
         s = np.clip(np.nan_to_num((t * uv - uw) / uu), 0.0, 1.0)
-    return s, t
+    return s, t, inside
