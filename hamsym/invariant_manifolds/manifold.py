@@ -50,6 +50,8 @@ class Manifold(Drawn, Shown):
     ends : numpy.ndarray
         Time at which each trajectory ends, because it has the length that was asked for, or is not
         accurate any more, shape (n,).
+    starts : Starts
+        Strands of the starts and their places along them, with the local manifold.
     tol : float
     gap : float
         Largest distance of neighbours at one time, relative to the extent of each component; 0
