@@ -59,6 +59,8 @@ class Connection(Drawn, Shown):
     success : bool
         Whether the mismatch is within the tolerance, and the error within 1e-6.
     message : str
+    met : Met
+        Both parts: their starts, solutions, mismatch and transversality.
     """
 
     origins: tuple[Origin, Origin]

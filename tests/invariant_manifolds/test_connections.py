@@ -200,3 +200,23 @@ def test_family_in_the_energy() -> None:
     assert abs(family[-1].energy - energy) < 1e-12
     assert all(each.success and each.mismatch < 1e-10 for each in family)
     assert len({round(each.z[1], 6) for each in family}) == len(family)
+
+
+@pytest.mark.slow
+def test_foci_have_doubly_asymptotic_orbits() -> None:
+    """From L4 to L5 with two equal masses, through the line of both at a right angle."""
+    H = hamsym.systems.restricted_three_bodies(0.5).H
+    height = math.sqrt(3) / 2
+    first, second = (
+        hamsym.equilibria(H, [0, sign * height, -sign * height, 0])[0].manifolds(duration=9)
+        for sign in (1, -1)
+    )
+    assert first.unstable.dimension == 2
+    found = hamsym.connections(first.unstable, second.stable, "y = 0", crossings=2)
+    symmetric = [one for one in found if abs(one.z[2]) < 1e-9]
+    assert symmetric
+    for one in symmetric:
+        path = solve_ivp(
+            _field(H), (0, one.span[1]), one.z, method="DOP853", rtol=1e-13, atol=1e-15
+        )
+        assert np.abs(path.y[:, -1] - one.met.sides[1].start()).max() < 1e-8
