@@ -23,9 +23,11 @@ from hamsym.support.shown import Drawn, Shown
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.validation import require_positive, require_whole
 
+_PERIOD = 1e-12  # relative difference of periods of H that are the same
 _ENERGY = 1e-9  # difference of energies, relative to what the manifolds exchange, that is none
 _CANDIDATES = 48  # places at which Newton's method begins
 _SAME = 1e-6  # relative difference of states and times of connections that are the same
+_ACCURATE = 1e-6  # error of the state on the section, relative to the sizes of components
 _TRANSVERSAL = 1e-10  # singular values, relative to the largest, of a tangency within round-off
 
 
@@ -34,8 +36,9 @@ _TRANSVERSAL = 1e-10  # singular values, relative to the largest, of a tangency 
 class Connection(Drawn, Shown):
     """A trajectory from an unstable manifold to a stable one, on both within its mismatch.
 
-    Call it with times from ``span``: it is on the section at 0. It begins and ends on the local
-    manifolds; before and after that it stays near the origins for ever.
+    Call it with times from ``span``: it is on the section at 0, at the time ``clock`` of an H that
+    depends on time. It begins and ends on the local manifolds; before and after that it stays near
+    the origins for ever.
 
     ``plot()`` draws it in the plane of the first two coordinates, or of coordinate and momentum,
     with both origins; two names draw another plane.
@@ -87,6 +90,11 @@ class Connection(Drawn, Shown):
     def span(self) -> tuple[float, float]:
         """Times on the unstable and on the stable local manifold; 0 is on the section."""
         return -self.met.sides[0].time, self.met.sides[1].time
+
+    @property
+    def clock(self) -> float:
+        """Time of H on the section; up to periods of the orbits."""
+        return float(self.met.solutions[0].span[1])
 
     @property
     def energy(self) -> float:
@@ -206,8 +214,8 @@ def connections(
     Raises
     ------
     InputError
-        If the arguments do not fit: other Hamiltonians, energies, or kinds of manifolds; or H
-        depends on time.
+        If the arguments do not fit: other Hamiltonians, energies, or kinds of manifolds; or, where
+        H depends on time, orbits of other periods.
 
     Examples
     --------
@@ -250,8 +258,9 @@ def _require_fitting(unstable: Manifold, stable: Manifold) -> None:
                              f"{kind} one of the origin, not the {each.kind} one")  # fmt: skip
     if unstable.H != stable.H:
         raise InputError("the manifolds are of two Hamiltonians; give manifolds of one")
-    if unstable.H.time is not None:
-        raise InputError("H depends on time; connections need an H without explicit time")
+    periods = [each.departure.period for each in (unstable, stable)]
+    if unstable.H.time is not None and not _alike(periods):
+        raise InputError("H depends on time; give manifolds of orbits of one period")
     if not unstable.H.conserves_energy:
         return
     exchanged = max(_exchanged(unstable), _exchanged(stable))
@@ -260,6 +269,13 @@ def _require_fitting(unstable: Manifold, stable: Manifold) -> None:
             f"a connection keeps its energy, but the energies of the origins are "
             f"{unstable.energy:.10g} and {stable.energy:.10g}; give origins of one energy"
         )
+
+
+def _alike(periods: Sequence[float | None]) -> bool:
+    first, second = periods
+    if first is None or second is None:
+        return False
+    return abs(first - second) <= _PERIOD * first
 
 
 def _exchanged(manifold: Manifold) -> float:
@@ -297,10 +313,13 @@ class _Search:
         ]
         found: list[Connection] = []
         known: list[Met] = []
-        for place in nearby(cuts[0], cuts[1], (segments[0], segments[1]), self._least, _CANDIDATES):
+        H, period = self._manifolds[0].H, self._manifolds[0].departure.period
+        clock = None if H.time is None else period
+        pair = segments[0], segments[1]
+        for place in nearby(cuts[0], cuts[1], pair, self._least, clock, _CANDIDATES):
             sides = [
-                self._side(n, pair, share)
-                for n, pair, share in zip((0, 1), place.pairs, place.shares, strict=True)
+                self._side(n, own, share)
+                for n, own, share in zip((0, 1), place.pairs, place.shares, strict=True)
             ]
             met = meet((sides[0], sides[1]), self._where, self._tol, known)
             if met is None or not met.mismatch <= self._tol:
@@ -356,7 +375,7 @@ def connection_of(
     success, message = True, f"both parts meet to {met.mismatch:.1e}"
     if not met.mismatch <= tol:
         success, message = False, f"both parts miss each other by {met.mismatch:.1e}"
-    elif not error <= 1e-6:
+    elif not error <= _ACCURATE:
         success, message = False, f"both parts meet, but have an error of {error:.1e}"
     elif not met.transversality > _TRANSVERSAL:
         message += "; one of a continuum, or a tangency"

@@ -106,7 +106,12 @@ class Nearby(NamedTuple):
 
 
 def nearby(
-    first: Cut, second: Cut, segments: tuple[np.ndarray, np.ndarray], scale: np.ndarray, most: int
+    first: Cut,
+    second: Cut,
+    segments: tuple[np.ndarray, np.ndarray],
+    scale: np.ndarray,
+    period: float | None,
+    most: int,
 ) -> list[Nearby]:
     """Places where segments cross, and where others, far apart, come near in their own lengths.
 
@@ -114,12 +119,16 @@ def nearby(
     escaped.
 
     - scale: Sizes of the components on the local manifolds.
+    - period: Of H in time, if it depends on it: crossings at other phases of it are apart.
     """
     if not (len(first.t) and len(second.t)):
         return []
     low, high = np.quantile(np.concatenate([first.z, second.z]), _USUAL, axis=0)
     units = np.maximum(high - low, _LEAST * scale)
-    a, b = ((cut.z / units)[pair] for cut, pair in zip((first, second), segments, strict=True))
+    places = [
+        np.concatenate([cut.z / units, _phases(cut.t, period)], axis=1) for cut in (first, second)
+    ]
+    a, b = (place[pair] for place, pair in zip(places, segments, strict=True))
     rising = first.rising[segments[0][:, 0]][:, None] == second.rising[segments[1][:, 0]]
     rows, columns = np.nonzero(rising)
     p, q, u, v = a[rows, 0], b[columns, 0], a[rows, 1] - a[rows, 0], b[columns, 1] - b[columns, 0]
@@ -141,6 +150,14 @@ def nearby(
         left = left[~(same & beside & ~crossing[left])]
         left = left[left != k]
     return found
+
+
+def _phases(t: np.ndarray, period: float | None) -> np.ndarray:
+    """Times on a circle, shape (n, 2); without columns if there is no period."""
+    if period is None:
+        return np.empty((len(t), 0))
+    turns = 2 * np.pi * t / period
+    return np.stack([np.cos(turns), np.sin(turns)], axis=1)
 
 
 def _closest(

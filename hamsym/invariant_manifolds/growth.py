@@ -205,12 +205,11 @@ def _accurate_until(many: Solutions, k: int, tol: float, least: np.ndarray) -> f
 def _gaps(starts: Starts, samples: _Samples) -> tuple[np.ndarray, np.ndarray]:
     """Pairs of neighbours, and their largest distances relative to the extent."""
     pairs, states = starts.neighbours(), samples.states
-    if not len(pairs):
-        return pairs, np.empty(0)
-    with np.errstate(all="ignore"):
-        extents = np.nanmax(states, axis=(0, 1)) - np.nanmin(states, axis=(0, 1))
-        units = np.where(extents > 0, extents, 1.0)
-        apart = np.abs(states[pairs[:, 0]] - states[pairs[:, 1]]) / units
+    known = states[np.isfinite(states).all(axis=-1)]
+    if not (len(pairs) and len(known)):
+        return pairs, np.zeros(len(pairs))
+    extents = np.ptp(known, axis=0)
+    apart = np.abs(states[pairs[:, 0]] - states[pairs[:, 1]]) / np.where(extents > 0, extents, 1.0)
     return pairs, np.nan_to_num(apart, nan=0.0).max(axis=(1, 2))
 
 

@@ -7,6 +7,7 @@ section:
 
     phi(T_u, W_u(c_u)) = phi(-T_s, W_s(c_s)),   g = 0.
 
+Where H depends on time both times are equal, too, up to whole periods of the orbits.
 Derivatives come from the variational equation. Where energy is conserved one equation follows from
 the others, so that Gauss-Newton steps converge quadratically.
 """
@@ -150,11 +151,11 @@ def meet(
         scale = np.max([first.scale, second.scale, *local], axis=0)
         slope, value = _slope(surface, ends[0], first.span[1], scale)
         size = float(np.abs(slope * scale).max())
-        rest = np.append((ends[0] - ends[1]) / scale, value / size)
+        rest = np.append((ends[0] - ends[1]) / scale, [value / size, *_clocks(sides)])
         left, right = sides[0].derivative(first), sides[1].derivative(second)
         rows = np.concatenate([left, -right], axis=1) / scale[:, None]
         section = np.concatenate([slope @ left, np.zeros(right.shape[1])]) / size
-        matrix = np.concatenate([rows, section[None]])
+        matrix = np.concatenate([rows, section[None], _clock_rows(sides)])
         if not (np.isfinite(rest).all() and np.isfinite(matrix).all()):
             return best
         units = np.linalg.norm(matrix, axis=0)
@@ -177,6 +178,24 @@ def meet(
         if any(_alike(sides, met.sides) for met in known):
             return None
     return best
+
+
+def _clocks(sides: tuple[Side, Side]) -> list[float]:
+    """The difference of the times on the section, in periods of the orbits, if H depends on it."""
+    leaving, other = sides[0].leaving, sides[1].leaving
+    if leaving.H.time is None or leaving.period is None:
+        return []
+    ends = leaving.start + sides[0].time, other.start - sides[1].time
+    apart = (ends[0] - ends[1]) / leaving.period
+    return [apart - round(apart)]
+
+
+def _clock_rows(sides: tuple[Side, Side]) -> np.ndarray:
+    """The derivative of the difference of times by the unknowns."""
+    count = sides[0].unknowns
+    rows = np.zeros((len(_clocks(sides)), count + sides[1].unknowns))
+    rows[:, [count - 1, -1]] = 1 / (sides[0].leaving.period or 1.0)
+    return rows
 
 
 def _alike(sides: tuple[Side, Side], others: tuple[Side, Side]) -> bool:

@@ -271,10 +271,11 @@ def _judged(
     directions = directions / np.where(lengths > 0, lengths, 1.0)
     if not (np.isfinite(defect).all() and np.isfinite(directions).all()):
         return None
-    error = 0.0
-    for tangent, rest in zip(directions, defect, strict=True):
-        across = rest - tangent @ np.linalg.lstsq(tangent, rest, rcond=_PARALLEL)[0]
-        error = max(error, float(np.abs(across).max()))
+    across = [
+        rest - tangent @ np.linalg.lstsq(tangent, rest, rcond=_PARALLEL)[0]
+        for tangent, rest in zip(directions, defect, strict=True)
+    ]
+    error = float(np.abs(across).max())
     return LocalManifold(dynamics.point, rates, powers, series, error, scale)
 
 

@@ -114,11 +114,26 @@ def test_arguments_that_do_not_fit_are_refused() -> None:
         hamsym.connections(parts[0].unstable, parts[1].stable, "p = 0")
 
 
-def test_time_dependent_hamiltonian_is_refused() -> None:
-    H = hamsym.Hamiltonian("p**2/2 + (0.25 + 0.5*cos(t))*x**2/2 + x**4/4")
-    parts = hamsym.periodic_orbit(H, [0, 0], period="2*pi").manifolds(count=4, duration=6)
-    with pytest.raises(InputError, match="depends on time"):
-        hamsym.connections(parts.unstable, parts.stable, "p = 0")
+def test_driven_oscillator_has_its_homoclinic_points() -> None:
+    """Melnikov: the force changes the energy on the loop by a multiple of sin t at p = 0."""
+    H = hamsym.Hamiltonian("p**2/2 - x**2/2 + x**4/4 - 0.1*x*cos(t)")
+    orbit = hamsym.periodic_orbit(H, [-0.05, 0], period="2*pi")
+    parts = orbit.manifolds(count=16, duration=9.5, spacing=0.2)
+    found = hamsym.connections(parts.unstable, parts.stable, "p = 0, x > 1", crossings=1)
+    assert found.success
+    assert len(found) == 2
+    for one in found:
+        turns = one.clock / np.pi
+        assert abs(turns - round(turns)) < 1e-9
+        assert one.mismatch < 1e-10
+        end = solve_ivp(
+            lambda t, z: [z[1], z[0] - z[0] ** 3 + 0.1 * math.cos(t)],
+            (one.clock, one.clock + one.span[1]), one.z,
+            method="DOP853", rtol=1e-13, atol=1e-15,
+        )  # fmt: skip
+        # Backwards from the start all differences fall by the multiplier, 529, in each turn.
+        assert np.abs(end.y[:, -1] - one.met.sides[1].start()).max() < 1e-8
+    assert len({round(one.clock / np.pi) % 2 for one in found}) == 2
 
 
 # -- the connection of Oterma's energy -------------------------------------------------------------
