@@ -131,7 +131,7 @@ def test_driven_oscillator_has_its_homoclinic_points() -> None:
             (one.clock, one.clock + one.span[1]), one.z,
             method="DOP853", rtol=1e-13, atol=1e-15,
         )  # fmt: skip
-        # Backwards from the start all differences fall by the multiplier, 529, in each turn.
+        # Differences grow by the multiplier, 529, in each turn.
         assert np.abs(end.y[:, -1] - one.met.sides[1].start()).max() < 1e-8
     assert len({round(one.clock / np.pi) % 2 for one in found}) == 2
 
