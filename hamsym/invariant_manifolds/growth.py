@@ -139,7 +139,8 @@ def grow(
     starts: Starts, elapsed: float, length: float | None, spacing: float, tol: float
 ) -> Growth:
     """Solve from the starts, and from further ones between neighbours that part."""
-    room, samples = _MOST * len(starts.places), _Samples.of(starts, elapsed, tol)
+    many, first = starts.solved(elapsed, tol), starts
+    room, samples = _MOST * len(starts.places), _Samples.of(starts, many, elapsed, tol)
     for _ in range(_ROUNDS):
         pairs, gaps = _gaps(starts, samples)
         # Beside a trajectory that ends early, as at a collision, more of them would, too.
@@ -149,8 +150,10 @@ def grow(
             break
         further = starts.between(pairs[wide])
         starts, order = starts.with_further(further)
-        samples = samples.with_further(_Samples.of(further, elapsed, tol), order)
-    many = starts.solved(elapsed, tol)
+        more = _Samples.of(further, further.solved(elapsed, tol), elapsed, tol)
+        samples = samples.with_further(more, order)
+    if starts is not first:  # all in one, in their order
+        many = starts.solved(elapsed, tol)
     ends, long = samples.ends.copy(), np.zeros(len(starts.places), bool)
     if length is not None:
         for k, end in enumerate(ends.tolist()):
@@ -171,8 +174,8 @@ class _Samples:
     failed: np.ndarray
 
     @staticmethod
-    def of(starts: Starts, elapsed: float, tol: float) -> _Samples:
-        many, sign = starts.solved(elapsed, tol), starts.leaving.sign
+    def of(starts: Starts, many: Solutions, elapsed: float, tol: float) -> _Samples:
+        sign = starts.leaving.sign
         ends, failed = starts.planned(elapsed), np.zeros(len(starts.places), bool)
         for k in np.flatnonzero(~many.success).tolist():
             last = _accurate_until(many, k, tol, starts.least(tol))
