@@ -112,6 +112,7 @@ _LINEAR = {
 }
 
 
+@pytest.mark.slow_cases("two rates", "equal rates")
 @pytest.mark.parametrize("case", _LINEAR)
 def test_two_dimensional_manifold_is_the_graph_of_a_gradient(case: str) -> None:
     linear, rates = _LINEAR[case]
