@@ -33,7 +33,9 @@ _NEWTON = 12  # iterations
 _SHRINKS, _PATIENCE = 60, 4  # attempts to find the size of the ball, and those without success
 _ALIKE = 1e8  # condition of the eigenvectors above which they are not told apart
 _POINTS = 40  # at which the error is measured
-_RESONANT = 1e-10  # singular values, relative to the largest, of terms that no equation fixes
+# Singular values, relative to the largest, of terms that no equation fixes: in general, and of
+# linear ones, for which a derivative with round-off decides.
+_RESONANT, _LINEAR = 1e-10, 1e-5
 _PARALLEL = 1e-6  # singular values, relative to the largest, of one tangent direction
 _ROUND_OFF = 1e-14  # entries of an inverse, relative to the largest
 _ENOUGH = 1e-14  # relative change of the coefficients that ends the iteration
@@ -196,16 +198,38 @@ def parameterized(
     InputError
         If the eigenvectors are not independent.
     """
-    if not np.linalg.cond(vectors) <= _ALIKE:
+    scaled = vectors / _sizes(dynamics, vectors.T)[:, None]
+    if not np.linalg.cond(scaled / np.linalg.norm(scaled, axis=0)) <= _ALIKE:
         raise InputError(
             "the exponents coincide and have too few eigenvectors; change a parameter a little"
         )
-    powers = _powers(len(rates))
-    best: LocalManifold | None = None
-    patience = _PATIENCE
+    found = _on_largest_ball(dynamics, rates, vectors, size, wanted, free=2)
+    if found is None or not found.error <= wanted:
+        improved = _on_largest_ball(dynamics, rates, vectors, size, wanted, free=1)
+        if found is None or (improved is not None and improved.error < found.error):
+            found = improved
+    if found is None:
+        raise InputError("the motion near the fixed point is not finite")
+    return found
+
+
+def _on_largest_ball(
+    dynamics: Dynamics,
+    rates: np.ndarray,
+    vectors: np.ndarray,
+    size: float,
+    wanted: float,
+    free: int,
+) -> LocalManifold | None:
+    """W on the largest ball with the error that is wanted, or on that with the least.
+
+    - free: The least degree of terms that are solved for: 2 with the eigenvectors as they are, 1
+      where these are not accurate, as of an orbit on which neighbours move faster than itself.
+    """
+    powers, best, patience = _powers(len(rates)), None, _PATIENCE
     for _ in range(_SHRINKS):
         with np.errstate(all="ignore"):
-            found = _on_ball(dynamics, rates, size * vectors, powers)
+            found = _on_ball(dynamics, rates, size * vectors, powers, free)
         if found is not None and (best is None or 2 * found.error < best.error):
             best, patience = found, _PATIENCE
         elif best is not None:
@@ -213,8 +237,6 @@ def parameterized(
         if best is not None and (best.error <= wanted or not patience):
             break
         size /= 2
-    if best is None:
-        raise InputError("the motion near the fixed point is not finite")
     return best
 
 
@@ -226,7 +248,7 @@ def _powers(count: int) -> np.ndarray:
 
 
 def _on_ball(
-    dynamics: Dynamics, rates: np.ndarray, vectors: np.ndarray, powers: np.ndarray
+    dynamics: Dynamics, rates: np.ndarray, vectors: np.ndarray, powers: np.ndarray, free: int
 ) -> LocalManifold | None:
     """Solve for W; None if Newton's method does not come to finite numbers."""
     count, degrees = len(rates), powers.sum(axis=1)
@@ -234,16 +256,24 @@ def _on_ball(
     series = np.zeros((len(powers), len(vectors)), complex)
     series[degrees == 1] = vectors.T[np.argmax(powers[degrees == 1], axis=1)]
     table = _table(_complex(_ball(count, 2 * len(powers), seed=0), rates), powers)
-    expansion, higher = np.linalg.pinv(table), np.flatnonzero(degrees > 1)
-    units = _sizes(dynamics, vectors.T)
-    inverses = np.stack([_inverse(dynamics.operator(factors[k]), units) for k in higher])
+    expansion, units = np.linalg.pinv(table), _sizes(dynamics, vectors.T)
+    # Eigenvectors are not changed along themselves.
+    solved = np.flatnonzero(degrees >= free)
+    inverses = np.stack(
+        [
+            _inverse(
+                dynamics.operator(factors[k]), units, _LINEAR if degrees[k] == 1 else _RESONANT
+            )
+            for k in solved
+        ]
+    )
     before = math.inf
     for _ in range(_NEWTON):
         terms = expansion @ dynamics.defect(table, series, factors)
         if not np.isfinite(terms).all():
             return None
-        step = np.einsum("kij,kj->ki", inverses, terms[higher])
-        series[higher] -= step
+        step = np.einsum("kij,kj->ki", inverses, terms[solved])
+        series[solved] -= step
         change = float((np.abs(step) / units).max())
         if not change < 1e6:
             return None
@@ -290,10 +320,10 @@ def _sizes(dynamics: Dynamics, rows: np.ndarray) -> np.ndarray:
     return np.where(sizes == 0, 1.0, sizes)
 
 
-def _inverse(operator: np.ndarray, units: np.ndarray) -> np.ndarray:
+def _inverse(operator: np.ndarray, units: np.ndarray, cut: float) -> np.ndarray:
     """The inverse of a matrix, or at a resonance that of least norm."""
     scaled = operator * units / units[:, None]
-    found = np.linalg.pinv(scaled, rcond=_RESONANT)
+    found = np.linalg.pinv(scaled, rcond=cut)
     # Components that are not coupled stay exactly zero.
     found = np.where(np.abs(found) > _ROUND_OFF * np.abs(found).max(), found, 0.0)
     return np.asarray(found * units[:, None] / units)
