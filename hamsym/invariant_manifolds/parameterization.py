@@ -31,7 +31,7 @@ from hamsym.numerics.scales import coupled_sizes
 _TERMS, _DEGREE = 50, 10  # most terms of W, and its largest degree
 _NEWTON = 12  # iterations
 _SHRINKS, _PATIENCE = 60, 4  # attempts to find the size of the ball, and those without success
-_ALIKE = 1e8  # condition of the eigenvectors above which they are not told apart
+_ALIKE = 1e6  # condition of the eigenvectors above which they are not told apart
 _POINTS = 40  # at which the error is measured
 # Singular values, relative to the largest, of terms that no equation fixes: in general, and of
 # linear ones, for which a derivative with round-off decides.
