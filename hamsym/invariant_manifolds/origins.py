@@ -144,11 +144,16 @@ def _of_equilibrium(origin: Equilibrium, sign: int, wanted: float) -> Departure:
 
 def _coupled(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A matrix without couplings that are round-off in units that balance it, and its sizes."""
-    with np.errstate(invalid="ignore"):  # scipy takes the units for numbers of a permutation
-        units = np.diag(scipy.linalg.matrix_balance(matrix, permute=False)[1])
+    units = _balancing(matrix)
     balanced = np.abs(matrix * units / units[:, None])
     kept = np.where(balanced > _NOISE * balanced.max(), matrix, 0.0)
     return kept, np.abs(kept)
+
+
+def _balancing(matrix: np.ndarray) -> np.ndarray:
+    """Units of the components in which entries of a matrix are of one size."""
+    with np.errstate(invalid="ignore"):  # scipy takes the units for numbers of a permutation
+        return np.diag(scipy.linalg.matrix_balance(matrix, permute=False)[1])
 
 
 def _eigenvectors(matrix: np.ndarray, least: float) -> tuple[np.ndarray, np.ndarray]:
@@ -158,6 +163,8 @@ def _eigenvectors(matrix: np.ndarray, least: float) -> tuple[np.ndarray, np.ndar
     pairs = [*((i, j) for i, j in np.argwhere(matrix).tolist()), *((k, k) for k in range(size))]
     for block in connected_blocks(pairs, size):  # so that what is not coupled stays zero
         values[block], vectors[np.ix_(block, block)] = np.linalg.eig(matrix[np.ix_(block, block)])
+    scaled = np.abs(vectors / _balancing(matrix)[:, None])
+    vectors[scaled < _NOISE * scaled.max(axis=0)] = 0.0
     chosen = [k for k in range(size) if values[k].real > least and values[k].imag >= 0]
     return _paired(values, vectors, chosen)
 
