@@ -35,7 +35,7 @@ test-docs: $(VENV)/installed ## Run the docstrings, pages and examples of the do
 
 # The folders whose tests compute, without files that mostly compile, that these settings do not
 # reach, or whose arithmetic rounds alike on every processor: Arb and single steps of float64.
-PORTABLE := $(addprefix tests/,codegen dynamics families fitting flow_maps integrators networks numerics \
+PORTABLE := $(addprefix tests/,codegen dynamics families fitting flow_maps integrators invariant_manifolds networks numerics \
     orbits proof random_features solution systems workbench/test_animation.py docs/test_documentation.py) \
     $(addprefix --ignore=tests/codegen/test_,jax.py other_languages.py numba_cache.py generated_code.py) \
     $(addprefix --ignore=tests/integrators/test_,coefficients.py integrate.py) \

@@ -35,6 +35,13 @@ from .flow_maps.flow_map import FlowMap as FlowMap
 from .hamiltonian import Hamiltonian as Hamiltonian
 from .integrators.integrate import integrate as integrate
 from .integrators.trajectory import Trajectory as Trajectory
+from .invariant_manifolds.connection import Connection as Connection
+from .invariant_manifolds.connection import Connections as Connections
+from .invariant_manifolds.connection import connections as connections
+from .invariant_manifolds.continuation import connection_family as connection_family
+from .invariant_manifolds.manifold import Manifold as Manifold
+from .invariant_manifolds.manifold import Manifolds as Manifolds
+from .invariant_manifolds.manifold import manifolds as manifolds
 from .networks.methods import LBFGS as LBFGS
 from .networks.methods import Adam as Adam
 from .networks.methods import LevenbergMarquardt as LevenbergMarquardt

@@ -22,6 +22,7 @@ _ORDER = (
     "fit",
     "proof",
     "periodic_orbits",
+    "manifolds",
     "equilibria",
     "own_network",
     "comparison",

@@ -1,15 +1,19 @@
-"""Chaos indicators of one trajectory: MEGNO and SALI.
+"""Chaos indicators of one trajectory: MEGNO, SALI and GALI.
 
 Input:  a Hamiltonian, an initial state, a time span.
-Output: both indicators over time, with an interpretation.
+Output: the indicators over time, with an interpretation.
 
 With g = log(|v(t)|/|v(0)|) of a tangent vector v and the time t since the start,
 
     Y(t) = 2/t * integral of s g'(s) ds = 2 (g(t) - G(t)/t),  G = integral of g.
 
 After this integration by parts the quadrature error of an oscillation of g does not accumulate.
-SALI, the distance of two unit vectors, is computed from the QR decomposition of both, since the
-vectors themselves agree to round-off where SALI falls below 1e-16.
+GALI_k is the volume of the parallelepiped of k unit vectors, the product of the singular values of
+the matrix of these. In the columns of an orthogonal Q, by repeated QR decompositions, the vectors
+are an upper triangular matrix C, whose columns have length 1 as well: GALI_k is the product of the
+first k diagonal entries of C. Their logarithms are summed, since the vectors themselves agree to
+round-off where GALI_2 falls below 1e-16. With the angle a of two vectors GALI_2 = sin a and
+SALI = 2 sin(a/2), where a is at most a right angle.
 """
 
 from __future__ import annotations
@@ -50,10 +54,11 @@ _FROZEN, _NEAR_TWO, _ALIGNED = 0.5, (1.5, 2.5), 1e-8
 @suggest_attributes
 @dataclass(frozen=True)
 class ChaosIndicators(Drawn, Shown):
-    """MEGNO and SALI over time, and the settings of their computation.
+    """MEGNO, SALI and GALI over time, and the settings of their computation.
 
-    ``plot()`` draws MEGNO with its mean, and SALI, over time; ``plot("megno")`` and
-    ``plot("sali")`` draw one of these panels.
+    ``plot()`` draws MEGNO with its mean, and SALI, over time, and with more than two tangent
+    vectors GALI of all orders; ``plot("megno")``, ``plot("sali")`` and ``plot("gali")`` draw one of
+    these panels.
 
     Attributes
     ----------
@@ -65,11 +70,13 @@ class ChaosIndicators(Drawn, Shown):
         Average of Y over the time since the start, shape (n,): tends to 2 on quasi-periodic
         motion, to 0 on a stable isochronous one (harmonic oscillator), and grows like lambda t/2
         on chaotic motion with the largest exponent lambda.
-    sali : numpy.ndarray
-        Smaller alignment index min(|v + w|, |v - w|) of two tangent vectors of length 1, from 0 to
-        1.414, shape (n,). In chaos it falls like exp(-(lambda_1 - lambda_2) t), also below
-        round-off; 0 means less than 1e-307. On a torus of two or more dimensions it keeps its size;
-        on one of lower dimension, so with one degree of freedom, it falls like a power of t.
+    gali : numpy.ndarray
+        Generalized alignment indices of the orders 2, 3, ..., the columns: the volume of the
+        parallelepiped of the first k tangent vectors of length 1, from 0 to 1, shape
+        (n, vectors - 1). In chaos GALI_k falls like exp(-(k lambda_1 - lambda_1 - ... - lambda_k)
+        t), also below round-off; 0 means less than 1e-307. On a torus of dimension s it keeps its
+        size for k up to s, and with d degrees of freedom falls like t^(s - k) up to k = 2 d - s and
+        like t^(2 (d - k)) above.
     H : Hamiltonian
     z0 : numpy.ndarray
         Initial state, shape (dim,).
@@ -89,7 +96,7 @@ class ChaosIndicators(Drawn, Shown):
     t: np.ndarray = field(repr=False)
     megno: np.ndarray = field(repr=False)
     mean_megno: np.ndarray = field(repr=False)
-    sali: np.ndarray = field(repr=False)
+    gali: np.ndarray = field(repr=False)
     H: Hamiltonian = field(repr=False, compare=False)
     z0: np.ndarray = field(repr=False)
     span: tuple[float, float]
@@ -105,6 +112,16 @@ class ChaosIndicators(Drawn, Shown):
             f"ChaosIndicators({self.H.formulas!r}: mean MEGNO {self.mean_megno[-1]:.4g}, SALI "
             f"{self.sali[-1]:.2g} after t = {self.t[-1]:.6g}, success={self.success})"
         )
+
+    @property
+    def sali(self) -> np.ndarray:
+        """Smaller alignment index min(|v + w|, |v - w|) of the first two tangent vectors.
+
+        From 0 to 1.414, shape (n,). It follows from GALI_2 and falls like it: in chaos
+        exponentially; on a torus of two or more dimensions it keeps its size; with one degree of
+        freedom it falls like a power of t.
+        """
+        return np.asarray(2 * np.sin(np.arcsin(np.minimum(self.gali[:, 0], 1.0)) / 2))
 
     @property
     def is_integrable(self) -> bool:
@@ -172,15 +189,17 @@ def chaos_indicators(
     method: str | None = None,
     steps: int | None = None,
     dt: float | None = None,
+    vectors: int = 2,
     seed: int = 0,
     progress: bool | None = None,
 ) -> ChaosIndicators:
-    """Compute MEGNO and SALI of one trajectory over time.
+    """Compute MEGNO, SALI and GALI of one trajectory over time.
 
     MEGNO is the mean exponential growth of nearby orbits (Cincotta & Simo 2000, Astron. Astrophys.
-    Suppl. 147, 205), SALI the smaller alignment index (Skokos 2001, J. Phys. A 34, 10029). Both
-    separate regular from chaotic motion earlier than a Lyapunov exponent does. Two tangent vectors,
-    orthonormal at the start, are moved by the derivative of the steps; MEGNO is that of the first.
+    Suppl. 147, 205), SALI the smaller alignment index (Skokos 2001, J. Phys. A 34, 10029), GALI the
+    generalized ones (Skokos, Bountis & Antonopoulos 2007, Physica D 231, 30). They separate regular
+    from chaotic motion earlier than a Lyapunov exponent does. Tangent vectors, orthonormal at the
+    start, are moved by the derivative of the steps; MEGNO is that of the first, SALI that of two.
 
     Parameters
     ----------
@@ -196,6 +215,8 @@ def chaos_indicators(
     dt : float, optional
         Largest step, in place of ``steps``. By default a fifth of a radian of the fastest linear
         motion at the beginning of the trajectory.
+    vectors : int
+        Number of tangent vectors, from 2 to the number of components: the highest order of GALI.
     seed : int
         Seed of the first tangent vectors.
     progress : bool, optional
@@ -220,11 +241,18 @@ def chaos_indicators(
     (20, 10)
     >>> bool(found.sali[-1] < 1e-16)  # exp(-2 t)
     True
+    >>> H = "(p_x**2 + x**2)/2 + p_y**2/2 - y**2/2"  # a centre and a saddle
+    >>> found = chaos_indicators(H, [1, 0, 0, 0], (0, 10), vectors=4)
+    >>> found.gali.shape[1], bool((np.diff(np.log(found.gali[-1])) < -9).all())  # exp(-t) and less
+    (3, True)
     """
     H = Hamiltonian.of(H)
     span = checked_span(span)
     method = usual_method(H) if method is None else method
     require_whole("seed", seed, 0)
+    require_whole("vectors", vectors, 2)
+    if vectors > H.dim:
+        raise InputError(f"vectors={vectors} cannot be used; z has {H.dim} components")
     reject_doubled(H, method)
     states = H.states_from(z0)
     if states.ndim > 1:
@@ -235,7 +263,7 @@ def chaos_indicators(
     state = H.state_from(z0)
     plan = TangentSteps.choose(H, method, state, span, steps, dt)
     began = time.perf_counter()
-    run = _Indicators(plan, state, first_vectors(H.dim, 2, seed))
+    run = _Indicators(plan, state, first_vectors(H.dim, vectors, seed))
     if advance_in_blocks(plan.number, run.block, progress, run.advance):
         run.problem = "interrupted"
     if not run.times:
@@ -245,7 +273,7 @@ def chaos_indicators(
         t=times,
         megno=history[:, 0],
         mean_megno=history[:, 1],
-        sali=history[:, 2],
+        gali=history[:, 2:],
         **plan.outcome(times, np.concatenate(run.path), run.problem, began),
     )
 
@@ -253,8 +281,8 @@ def chaos_indicators(
 class _Indicators:
     """Sums of the indicators at samples, a block of them at a time.
 
-    At the beginning of a block the tangent vectors are the columns of an orthogonal Q, of which the
-    first deviation vector is a multiple of the first, and the second has the direction Q c.
+    At the beginning of a block the tangent vectors are the columns of an orthogonal Q, and the
+    deviation vectors have the directions of the columns of Q C.
     """
 
     def __init__(self, plan: TangentSteps, state: np.ndarray, vectors: np.ndarray) -> None:
@@ -270,7 +298,8 @@ class _Indicators:
         self.block = self._every * max(1, int(growth_limit(2) / (angle * self._every)))
         # Numbers of the samples that are kept.
         self._rows = np.unique(np.geomspace(1, samples, KEPT).astype(int))
-        self._direction = np.array([0.0, 1.0])  # c
+        self._directions = np.eye(vectors.shape[1])  # C, with columns of length 1
+        self._heights = np.zeros(vectors.shape[1])  # logarithms of its diagonal entries
         self._elapsed = 0.0
         # g and G with their derivatives, Y and its integral with theirs, at the last sample.
         slope = self._slopes(state[None], vectors[None, :, 0], plan.span[0])[0]
@@ -278,15 +307,15 @@ class _Indicators:
         self._integral, self._total = 0.0, 0.0
         self._megno, self._megno_slope = 0.0, slope
         self.times: list[np.ndarray] = []
-        self.history: list[np.ndarray] = []  # columns Y, its mean, SALI
+        self.history: list[np.ndarray] = []  # columns Y, its mean, GALI_2, ...
         self.path = [state[None]]  # states at the start, and at each of the times
         self.problem = ""
 
     def advance(self, done: int, count: int) -> bool:
         """Take a block of steps; return False, with ``problem`` set, where that fails."""
         ends = np.append(np.arange(done, done + count, self._every)[1:], done + count)
-        dim = self._plan.H.dim
-        states, tangents = np.empty((len(ends), dim)), np.empty((len(ends), dim, 2))
+        dim, number = self._plan.H.dim, len(self._heights)
+        states, tangents = np.empty((len(ends), dim)), np.empty((len(ends), dim, number))
         before = done
         for sample, end in enumerate(ends.tolist()):
             states[sample] = self._stepper.step(end - before)[0]
@@ -306,11 +335,11 @@ class _Indicators:
         if good < len(ends):
             self.problem = list(tests)[int(np.argmin(passed[:, good]))]
         if good:
-            sali = self._alignment(tangents[:good], vectors[:good], grown[:good])
+            gali = self._alignment(tangents[:good], vectors[:good], grown[:good])
             growth = self._growth + grown[:good, 0]
             elapsed = abs(self._plan.size) * ends[:good]
             megno, mean = self._averages(elapsed, growth, slopes[:good])
-            self._keep(ends[:good], states[:good], np.stack((megno, mean, sali), axis=1))
+            self._keep(ends[:good], states[:good], np.column_stack((megno, mean, gali)))
         self._stepper.tangents[0] = self._scales * vectors[-1]
         return good == len(ends)
 
@@ -327,15 +356,15 @@ class _Indicators:
     def _alignment(
         self, tangents: np.ndarray, vectors: np.ndarray, grown: np.ndarray
     ) -> np.ndarray:
-        """Return SALI at the samples, and keep the direction of the second vector."""
-        first, second = self._direction
-        mixed = np.einsum("ni,ni->n", vectors[..., 0], tangents[..., 1])
-        # Both relative to the growth of the first vector, which may overflow.
-        along = first + mixed * np.exp(-grown[:, 0]) * second
-        across = np.exp(grown[:, 1] - grown[:, 0]) * second
-        length = np.hypot(along[-1], across[-1])
-        self._direction = np.array([along[-1] / length, across[-1] / length])
-        return np.asarray(2 * np.sin(np.arctan2(np.abs(across), np.abs(along)) / 2))
+        """Return GALI of all orders at the samples, and keep the directions of the vectors."""
+        upper = np.triu(np.einsum("nik,nil->nkl", vectors, tangents), 1)
+        places = np.arange(len(self._heights))
+        upper[:, places, places] = np.exp(grown)
+        moved = upper @ self._directions
+        lengths = np.linalg.norm(moved, axis=1)
+        heights = self._heights + grown - np.log(lengths)
+        self._directions, self._heights = moved[-1] / lengths[-1], heights[-1]
+        return np.asarray(np.exp(np.cumsum(heights, axis=1)[:, 1:]))
 
     def _averages(
         self, elapsed: np.ndarray, growth: np.ndarray, slopes: np.ndarray

@@ -161,6 +161,10 @@ class Equilibrium(Drawn, Shown):
         """
         return hamsym.normal_form(self, degree)
 
+    def manifolds(self, **options: Any) -> hamsym.Manifolds:
+        """Compute the stable and the unstable manifold; see :func:`hamsym.manifolds`."""
+        return hamsym.manifolds(self, **options)
+
     def __str__(self) -> str:
         return self.summary(rows=None)
 

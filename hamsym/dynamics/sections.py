@@ -325,7 +325,7 @@ def section(
         seconds=time.perf_counter() - began,
         success=kept and not problem,
         message=problem or message,
-        axes=_free_pair(H, where),
+        axes=free_pair(H, where),
         H=H,
         drift=drift,
         parameters=members.columns,
@@ -365,7 +365,7 @@ def _energy_error(members: Ensemble, z: np.ndarray, trajectory: np.ndarray) -> f
     return float(np.abs(energy - starts[trajectory]).max(initial=0.0))
 
 
-def _free_pair(H: Hamiltonian, where: Surface) -> tuple[str, str]:
+def free_pair(H: Hamiltonian, where: Surface) -> tuple[str, str]:
     """Return the first coordinate and momentum that are not in the equation of the surface."""
     pairs = list(zip(H.names[: H.dof], H.names[H.dof :], strict=True))
     free = [pair for pair in pairs if not where.names & set(pair)]

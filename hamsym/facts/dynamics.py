@@ -67,6 +67,7 @@ def _lyapunov(found: LyapunovExponents) -> Facts:
 
 def _chaos_indicators(found: ChaosIndicators) -> Facts:
     curves = {"megno": found.megno, "mean megno": found.mean_megno, "sali": found.sali}
+    curves |= {f"gali {k + 2}": own for k, own in enumerate(found.gali.T) if k}
     return facts_of(
         found,
         found.statement,

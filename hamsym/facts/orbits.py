@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 def _periodic_orbit(orbit: PeriodicOrbit) -> Facts:
     H, isolated = orbit.H, orbit.is_isolated
-    multipliers = ", ".join(map(_complex, orbit.multipliers))
+    multipliers = ", ".join(map(complex_text, orbit.multipliers))
     error = f"largest estimated error {error_text(orbit.relative_error)} of each component's size"
     return facts_of(
         orbit,
@@ -41,7 +41,7 @@ def _periodic_orbit(orbit: PeriodicOrbit) -> Facts:
     )
 
 
-def _complex(value: complex) -> str:
+def complex_text(value: complex) -> str:
     """Return a complex number as text, without an imaginary part of round-off."""
     if abs(value.imag) < 1e-12 * abs(value):
         return f"{value.real:.8g}"

@@ -241,6 +241,10 @@ class PeriodicOrbit(Drawn, Saved):
         """Continue the orbit along its family; see :func:`hamsym.orbit_family`."""
         return hamsym.orbit_family(self, **target)
 
+    def manifolds(self, **options: Any) -> hamsym.Manifolds:
+        """Compute the stable and the unstable manifold; see :func:`hamsym.manifolds`."""
+        return hamsym.manifolds(self, **options)
+
     def certify(self, *, time_limit: float | None = None) -> hamsym.OrbitCertificate:
         """Prove that a true periodic orbit exists, the only one nearby.
 

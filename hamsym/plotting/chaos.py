@@ -175,18 +175,23 @@ def _legend_of(axes: Axes, count: int) -> None:
 
 
 def draw_chaos_indicators(found: ChaosIndicators, *names: Any, ax: Any = None) -> Any:
-    """Draw MEGNO above SALI; see :meth:`hamsym.ChaosIndicators.plot`."""
+    """Draw MEGNO, SALI and GALI; see :meth:`hamsym.ChaosIndicators.plot`."""
+    orders = {f"GALI {k + 2}": column for k, column in enumerate(found.gali.T)}
     panels = {
         "megno": Panel(lambda axes: _draw_megno(axes, found)),
-        "sali": Panel(lambda axes: _draw_sali(axes, found)),
+        "sali": Panel(lambda axes: _draw_indices(axes, found, {"SALI": found.sali}, 1)),
+        "gali": Panel(lambda axes: _draw_indices(axes, found, orders, 2)),
     }
     sentences = [f"By {found.method}"]
     if len(found.t) > 2 * _PIECES:
-        sentences.append(f"Of SALI, the smallest in {_PIECES} pieces of the logarithm of time")
-    if not (found.sali > 0).all():
-        sentences.append("SALI is below 1e-307 where it is not drawn")
+        sentences.append(
+            f"Of SALI and GALI, the smallest in {_PIECES} pieces of the logarithm of time"
+        )
+    if not (found.gali > 0).all():
+        sentences.append("Indices below 1e-307 are not drawn")
     caption = caption_words(found.H, *sentences)
-    return draw_panels(panels, list(panels), names, ax, caption, found.facts.warning)
+    shown = [name for name in panels if name != "gali" or found.gali.shape[1] > 1]
+    return draw_panels(panels, shown, names, ax, caption, found.facts.warning)
 
 
 def _draw_megno(axes: Axes, found: ChaosIndicators) -> None:
@@ -200,15 +205,23 @@ def _draw_megno(axes: Axes, found: ChaosIndicators) -> None:
     axes.legend(fontsize=6)
 
 
-def _draw_sali(axes: Axes, found: ChaosIndicators) -> None:
-    t, values = _thinned(np.abs(found.t - found.span[0]), found.sali, np.minimum)
-    axes.plot(t, positive(values), color=color_of(1))
+def _draw_indices(
+    axes: Axes, found: ChaosIndicators, curves: Mapping[str, np.ndarray], color: int
+) -> None:
+    """Draw alignment indices, each with its name."""
+    least = np.inf
+    for k, (name, column) in enumerate(curves.items()):
+        t, values = _thinned(np.abs(found.t - found.span[0]), column, np.minimum)
+        axes.plot(t, positive(values), color=color_of(color + k), label=name)
+        least = min(least, values[np.isfinite(values) & (values > 0)].min(initial=np.inf))
     log_scales(axes, "below 1e-307 at all times")
-    axes.set_title("SALI")
-    shown = values[np.isfinite(values) & (values > 0)]
-    if shown.size and shown.min() > 0.1:  # an axis of one decade has too few ticks
+    title = next(iter(curves)).split()[0]
+    axes.set_title(title)
+    if 0.1 < least < np.inf:  # an axis of one decade has too few ticks
         axes.set_ylim(0.01, 3)
-    label(axes.yaxis, "SALI")
+    label(axes.yaxis, title)
+    if len(curves) > 1:
+        axes.legend(fontsize=6)
     _label_elapsed(axes, found.H, found.span[0])
 
 

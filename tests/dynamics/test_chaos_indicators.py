@@ -1,4 +1,4 @@
-"""MEGNO and SALI against exact values, an independent integration and published orbits."""
+"""MEGNO, SALI and GALI against exact values, an independent integration and published orbits."""
 
 from __future__ import annotations
 
@@ -133,6 +133,87 @@ def test_sali_of_one_degree_of_freedom_falls_like_a_power() -> None:
     assert means[-1] == pytest.approx(2, abs=0.1)
 
 
+# -- generalized alignment indices --
+
+
+def test_gali_of_a_linear_system_is_a_volume() -> None:
+    """By singular values of unit vectors in 60 digits."""
+    H, end = saddle(2.0, 1.0), 30.0
+    found = hamsym.chaos_indicators(H, np.full(4, 1e-9), (0, end), vectors=4, dt=0.02)
+    values = {symbol: H.parameters[str(symbol)] for symbol in H.hessian.free_symbols}
+    matrix = np.array((H.poisson_matrix * H.hessian).subs(values), dtype=float)
+    with mpmath.workdps(120):
+        flow = mpmath.expm(mpmath.matrix(matrix.tolist()) * mpmath.mpf(end))
+        moved = flow * mpmath.matrix(first_vectors(4, 4, 0).tolist())
+        unit = [moved[:, k] / mpmath.norm(moved[:, k]) for k in range(4)]
+        for k in (2, 3, 4):
+            A = mpmath.matrix(4, k)
+            for j in range(k):
+                A[:, j] = unit[j]
+            volume = mpmath.sqrt(mpmath.det(A.T * A))
+            assert found.gali[-1, k - 2] == pytest.approx(float(volume), rel=1e-4)
+
+
+def test_sali_and_gali_2_are_of_one_angle() -> None:
+    found = hamsym.chaos_indicators(henon_heiles().H, start_of(ORDERED), (0, 200), vectors=3)
+    angle = 2 * np.arcsin(found.sali / 2)
+    np.testing.assert_allclose(np.sin(angle), found.gali[:, 0], rtol=1e-7)
+
+
+def _slopes(found: ChaosIndicators, after: float, *, power: bool) -> list[float]:
+    """Slopes of the logarithms of GALI over those of time, or over time."""
+    slopes = []
+    for column in found.gali.T:
+        late = (found.t > after) & (column > 0)
+        t = np.log(found.t[late]) if power else found.t[late]
+        slopes.append(float(np.polyfit(t, np.log(column[late]), 1)[0]))
+    return slopes
+
+
+def test_gali_of_regular_motion_falls_like_published_powers() -> None:
+    """On a torus of two dimensions GALI_3 falls like t^-2, GALI_4 like t^-4."""
+    found = hamsym.chaos_indicators(henon_heiles().H, [0, 0, 0.5, 0], (0, 3e3), vectors=4)
+    assert _slopes(found, 100, power=True) == pytest.approx([0, -2, -4], abs=0.3)
+
+
+@pytest.mark.slow
+def test_gali_of_chaotic_motion_falls_like_published_exponentials() -> None:
+    """Skokos, Bountis & Antonopoulos 2007: sigma_1 = 0.047; GALI_k by 1, 2 and 4 times it."""
+    H, start = henon_heiles().H, [0, -0.25, 0.42, 0]
+    found = hamsym.chaos_indicators(H, start, (0, 3e3), vectors=4)
+    exponent = hamsym.lyapunov(H, start, (0, 3e3)).maximal
+    assert exponent == pytest.approx(0.047, rel=0.25)
+    rates = [-math.log(value) / found.t[-1] for value in found.gali[-1]]
+    assert rates == pytest.approx([exponent, 2 * exponent, 4 * exponent], rel=0.1)
+
+
+_THREE = (
+    "(p_x**2 + x**2)/2 + sqrt(2)*(p_y**2 + y**2)/2 + sqrt(3)*(p_z**2 + z**2)/2 + x**2*y + x**2*z"
+)
+
+
+def _of_energies(energies: tuple[float, float, float]) -> list[float]:
+    """At the origin, with the energies of the three oscillators."""
+    momenta = [
+        math.sqrt(2 * own / math.sqrt(k)) for own, k in zip(energies, (1, 2, 3), strict=True)
+    ]
+    return [0.0, 0.0, 0.0, *momenta]
+
+
+@pytest.mark.slow
+def test_gali_of_three_degrees_of_freedom() -> None:
+    """The published orbits at E = 0.09: powers 0, 0, -2, -4, -6; exponents 0.03 and 0.008."""
+    regular = hamsym.chaos_indicators(
+        _THREE, _of_energies((0.005, 0.085, 0.0)), (0, 3e4), vectors=6
+    )
+    assert _slopes(regular, 1e3, power=True) == pytest.approx([0, 0, -2, -4, -6], abs=0.5)
+    start = _of_energies((0.03, 0.03, 0.03))
+    chaotic = hamsym.chaos_indicators(_THREE, start, (0, 2e3), vectors=6)
+    one, two, *_ = hamsym.lyapunov(_THREE, start, (0, 2e3), count=3).exponents[-1]
+    rates = [-math.log(v) / 2e3 for v in chaotic.gali[-1]]
+    assert rates[:3] == pytest.approx([one - two, 2 * one - two, 3 * one - two], rel=0.15)
+
+
 # -- independent computation -------------------------------------------------------------------
 
 
@@ -236,8 +317,9 @@ def test_same_seed_same_indicators() -> None:
 def made(mean: np.ndarray, sali: float, H: Hamiltonian | None = None) -> ChaosIndicators:
     t = np.geomspace(1, 1e3, 200)
     H = H or henon_heiles().H
+    gali = np.full((200, 1), math.sin(2 * math.asin(sali / 2)))
     return ChaosIndicators(
-        t, mean, mean, np.full(200, sali), H, np.zeros(H.dim), (0.0, 1e3), 0.0, "gauss4", 0.1, 1.0,
+        t, mean, mean, gali, H, np.zeros(H.dim), (0.0, 1e3), 0.0, "gauss4", 0.1, 1.0,
         success=True, message="",
     )  # fmt: skip
 
@@ -306,6 +388,8 @@ def test_failure_at_once_is_an_error() -> None:
         ({"dt": -1}, "dt=-1"),
         ({"dt": 1e-30}, "dt=1e-30 would take"),
         ({"dt": 0.1, "steps": 9}, "dt"),
+        ({"vectors": 1}, "vectors=1"),
+        ({"vectors": 5}, "vectors=5 cannot be used; z has 4 components"),
         ({"seed": -1}, "seed=-1 cannot be used; give a whole number from 0"),
         ({"seed": 0.5}, "seed=0.5"),
         ({"z0": [0.3, -0.3, 0.3]}, "4"),

@@ -33,6 +33,14 @@ HENON = Hamiltonian(
 START = [0.0, 0.1, 0.3, 0.0]
 OSCILLATOR = Hamiltonian("p**2/2 + k*x**2/2", parameters={"k": 1.0})
 FALLING = Hamiltonian("p**2/2 - x**4/4")
+DUFFING = "p**2/2 - x**2/2 + x**4/4"
+
+
+def _loops() -> hamsym.Connections:
+    found = hamsym.equilibria(DUFFING)[2].manifolds()
+    return hamsym.connections(found.unstable, found.stable, "p = 0")
+
+
 SI = Hamiltonian(
     "p**2/(2*m) + m*w**2*x**2/2",
     parameters={"m": 9.1e-31, "w": 1e9},
@@ -158,6 +166,10 @@ MADE: dict[str, tuple[Callable[[], Any], list[str]]] = {
         lambda: hamsym.equilibria("p**2/2 - cos(x)")[0].normal_form(4),
         ["Dirichlet", "I_1**2"],
     ),
+    "Manifolds": (lambda: hamsym.equilibria(DUFFING)[2].manifolds(), ["grown", "unstable"]),
+    "Manifold": (lambda: hamsym.equilibria(DUFFING)[2].manifolds().stable, ["exponents", "length"]),
+    "Connections": (lambda: _loops(), ["2 connections", "mismatch"]),
+    "Connection": (lambda: _loops()[0], ["both parts meet", "transversality"]),
     "Transformation": (
         lambda: Hamiltonian("p**2/2 + x**2/2").transformed({"x": "X/2"}),
         ["the same motion", "<math"],
