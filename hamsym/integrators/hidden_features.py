@@ -164,27 +164,22 @@ class HiddenFeatures:
                 some = slice(first, first + together)
                 own = None if parameters is None else parameters[some]
                 with np.errstate(all="ignore"):
-                    doubtful = self._is_doubtful(z[some], t, own)
-                    doubtful |= self.has_jumps and errors is not None
+                    blocks, _ = _blocks(len(t) - 1)
+                    resolved = self.scales.resolved(z[some], t, own, blocks)
+                    doubtful = ~resolved.all(axis=1) | (self.has_jumps and errors is not None)
                     for i in (first + np.flatnonzero(doubtful)).tolist():
                         end = int(np.isfinite(z[i]).all(axis=1).sum())
                         if end < 2 or found.excess[i]:
                             continue
                         one = None if parameters is None else parameters[i]
                         shift = None if errors is None else errors[i]
+                        known = resolved[i - first] if end == len(t) else None
                         search = _Search(
-                            *(self, z[i, :end], t[:end], one, share * allowed(i), shift)
+                            *(self, z[i, :end], t[:end], one, share * allowed(i), shift, known)
                         )
                         found.times[i], found.excess[i], found.factor[i] = search.run()
                         found.rounding[i] = np.sqrt(found.rounding[i] ** 2 + search.rounding)
         return found
-
-    def _is_doubtful(
-        self, z: np.ndarray, t: np.ndarray, parameters: np.ndarray | None
-    ) -> np.ndarray:
-        """Whether a function may vary over some steps of each trajectory."""
-        blocks, _ = _blocks(z.shape[1] - 1)
-        return np.asarray(~self.scales.resolved(z, t, parameters, blocks).all(axis=1))
 
     def sizes(self, z: np.ndarray, t: np.ndarray, parameters: np.ndarray | None) -> np.ndarray:
         """Sizes of the components of a trajectory, to which its errors are relative."""
@@ -309,10 +304,12 @@ class _Search:
         parameters: np.ndarray | None,
         allowed: np.ndarray,
         errors: np.ndarray | None,
+        resolved: np.ndarray | None,
     ) -> None:
+        self._resolved = resolved  # of the shortest windows along the states, if known
         self._features, self._scales = features, features.scales
         self._z, self._t, self._own = z, t, parameters
-        self._largest = np.abs(z).max(axis=0)
+        self._largest = np.maximum(z.max(axis=0), -z.min(axis=0))
         self._allowed, self._errors = allowed, errors
         self._shift = np.zeros_like(allowed)
         #: Half of it is for windows that pass as a whole.
@@ -356,7 +353,9 @@ class _Search:
         self._shortest = shortest = lengths[-1]
         own = None if self._own is None else self._own[None]
         path = self._z[None] + self._shift, self._t, own
-        blocks = blocks[~self._scales.resolved(*path, blocks)[0], 0]
+        known = None if self._shift.any() else self._resolved
+        resolved = self._scales.resolved(*path, blocks)[0] if known is None else known
+        blocks = blocks[~resolved, 0]
         if not len(blocks):
             return _NOTHING
         for length in lengths:
