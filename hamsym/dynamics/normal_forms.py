@@ -241,10 +241,11 @@ class _Construction:
         columns: list[list[acb]] = []
         for block in connected_blocks([*pairs, *((k, k) for k in range(dof))], dof):
             own = [*block, *(dof + k for k in block)]
+            unit = {k: _unit_of(rows[k][k], rows[dof + k][dof + k]) for k in block}
+            unit |= {dof + k: -power for k, power in unit.items()}
+            scaled = [[matrix[i][j] * arb((1, unit[i] - unit[j])) for j in own] for i in own]
             try:
-                values, vectors = acb_mat([[matrix[i][j] for j in own] for i in own]).eig(
-                    right=True, algorithm="rump"
-                )
+                values, vectors = acb_mat(scaled).eig(right=True, algorithm="rump")
             except ValueError:
                 raise CertificationError(
                     "frequencies of coupled modes are equal, zero, or too near to be separated"
@@ -261,7 +262,7 @@ class _Construction:
                     )
                 u = [acb(0)] * dim
                 for row, i in enumerate(own):
-                    u[i] = vectors[row, k]
+                    u[i] = vectors[row, k] * arb((1, -unit[i]))
                 omega_k, u = self._signed(value.imag, u)
                 omega.append(omega_k)
                 columns.append(u)
@@ -346,6 +347,14 @@ def _applied(function: Any, x: Any, *rest: Any) -> Any:
     return function(x, *rest)
 
 
+def _unit_of(stiffness: arb, mobility: arb) -> int:
+    """The power of two for units of a coordinate in which both second derivatives are alike."""
+    sizes = [abs(value).mid() for value in (stiffness, mobility)]
+    if not all(size > 0 for size in sizes):
+        return 0
+    return round(float((sizes[0] / sizes[1]).log()) / (4 * math.log(2)))
+
+
 def _unit(count: int, *variables: int) -> Powers:
     """The powers of a product of different variables."""
     return tuple(int(k in variables) for k in range(count))
@@ -396,10 +405,14 @@ def _domain(H: Hamiltonian, form: NormalForm) -> float:
             allowed = _WANTED * (np.abs(form.frequencies.mid) * actions).sum(axis=-1)
         return bool((np.abs(found) <= allowed).all())
 
-    low, high = 0.0, float(np.abs(form.equilibrium.z).max()) + 1.0
-    while agrees(high) and high < 1e6:
-        low, high = high, 2 * high
-    for _ in range(20):
-        middle = (low + high) / 2
+    # The size at which the first term beyond the quadratic one is as large.
+    beyond = [abs(ball.mid) for powers, ball in form.coefficients.items() if sum(powers) == 2]
+    slowest = np.abs(form.frequencies.mid).min()
+    unit = math.sqrt(slowest / max(beyond)) if any(beyond) else 1.0
+    # From above, since at small sizes the round-off of H is larger than what is allowed.
+    low = next((unit * 2.0**k for k in range(20, -60, -1) if agrees(unit * 2.0**k)), 0.0)
+    high = 2 * low
+    while high > 1.01 * low:
+        middle = math.sqrt(low) * math.sqrt(high)
         low, high = (middle, high) if agrees(middle) else (low, middle)
     return low

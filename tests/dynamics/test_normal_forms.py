@@ -146,3 +146,20 @@ def test_arguments_are_checked() -> None:
     with pytest.raises(InputError, match="beyond 16"):
         one.normal_form(17)
     assert "stable" in one.normal_form(4).summary()
+
+
+@pytest.mark.parametrize("units", [(1e-27, 1e-10, 9.81), (6e24, 1e8, 1e-3)])
+def test_normal_forms_in_other_units(units: tuple[float, float, float]) -> None:
+    m, length, g = units
+    H = Hamiltonian("p**2/(2*m*l**2) - m*g*l*cos(x)", parameters={"m": m, "l": length, "g": g})
+    form = H.equilibria({"x": 0, "p": 0})[0].normal_form(6)
+    rate = np.sqrt(g / length)
+    action = m * length**2 * rate
+    assert form.stable
+    assert form.frequencies.mid[0] == pytest.approx(rate, rel=1e-14)
+    for (n,), value in {(1,): 1.0, (2,): -1 / 16, (3,): -1 / 256}.items():
+        found = form.coefficients[(n,)].mid * action ** (n - 1) / rate
+        assert found == pytest.approx(value, rel=1e-13)
+    assert form.domain / np.sqrt(action) == pytest.approx(
+        _at_origin("p**2/2 - cos(x)").normal_form(6).domain, rel=0.02
+    )
