@@ -442,6 +442,7 @@ def implicit(
     increments = np.empty((stages, DIM))
     points = np.empty((stages, DIM))
     slopes = np.empty((stages, DIM))
+    impulses = np.empty((stages, DIM))  # h b_i times the slopes
     times = np.empty(stages)
     second = np.zeros((stages, DIM, DIM))
     matrix = np.empty((stages * DIM, stages * DIM))
@@ -464,13 +465,12 @@ def implicit(
                         for other in range(stages):
                             rate = state[DIM * (1 + other) + component]
                             value += continued[stage, other] * rate
-                        slopes[stage, component] = value
+                        impulses[stage, component] = h * weights[stage] * value
                 for stage in range(stages):
                     for component in range(DIM):
                         value = 0.0
                         for other in range(stages):
-                            part = h * weights[other] * slopes[other, component]
-                            value += shares[stage, other] * part
+                            value += shares[stage, other] * impulses[other, component]
                         increments[stage, component] = value
                 previous = math.inf
                 converged = False
@@ -484,6 +484,10 @@ def implicit(
                                 state[component] + increments[stage, component]
                             )
                     _vector_field(points, times, values, slopes)
+                    for stage in range(stages):
+                        for component in range(DIM):
+                            slope = slopes[stage, component]
+                            impulses[stage, component] = h * weights[stage] * slope
                     done[trajectory, 1] += stages
                     if newton and stale:
                         _rate_curvature(points, times, values, second)
@@ -503,8 +507,7 @@ def implicit(
                         for component in range(DIM):
                             value = increments[stage, component]
                             for other in range(stages):
-                                part = h * weights[other] * slopes[other, component]
-                                value -= shares[stage, other] * part
+                                value -= shares[stage, other] * impulses[other, component]
                             right[stage * DIM + component] = value
                     if newton:
                         _substitute(matrix, pivots, right)
@@ -567,7 +570,7 @@ def implicit(
                 for component in range(DIM):
                     change = low[trajectory, component]
                     for stage in range(stages):
-                        change += h * weights[stage] * slopes[stage, component]
+                        change += impulses[stage, component]
                         state[DIM * (1 + stage) + component] = slopes[stage, component]
                     total = state[component] + change
                     low[trajectory, component] = change - (total - state[component])
