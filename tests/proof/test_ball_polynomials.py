@@ -118,3 +118,15 @@ def test_numbers_of_very_different_size_are_kept() -> None:
     with working(4000):
         for found, exact in zip(sums, (arb((1, 900)), arb((1, -900))), strict=True):
             assert found.coefficient((1, 0)).real.contains(exact + arb((1, -900)))
+
+
+def test_coefficients_that_vanish_beside_a_large_one_are_in_the_error() -> None:
+    """The error of a part bounds those of all of its coefficients together."""
+    small = 2**117 - 2**54  # just below one unit of the sum at this precision
+    with working(64, DEGREE + 1):
+        large = BallPolynomial.of({(3, 0): arb((1, 180))}, DEGREE)
+        others = {(2, 1): arb(small), (1, 2): arb(small), (0, 3): arb(small)}
+        part = (large + BallPolynomial.of(others, DEGREE)).parts[3]
+        assert part.powers() == [(3, 0)]
+    with working(400):
+        assert part.error >= 3 * arb(small)

@@ -33,9 +33,10 @@ class _Part:
         size = sum(map(abs, (*re.coeffs(), *im.coeffs())), start=0)
         shift = int(size).bit_length() - ctx.prec
         if shift > 0:
-            # Each coefficient changes by less than one unit.
-            re, im, exponent = re // 2**shift, im // 2**shift, exponent + shift
-            error = error + arb((len(re) + len(im), exponent))
+            # Each coefficient changes by less than one unit, also if nothing is left of it.
+            count, exponent = len(re) + len(im), exponent + shift
+            re, im = re // 2**shift, im // 2**shift
+            error = error + arb((count, exponent))
             size = (int(size) >> shift) + 1
         self.re, self.im, self.exponent = re, im, exponent
         self.error = error.upper() if not error.is_zero() else error
