@@ -300,23 +300,20 @@ class _Search:
         self._manifolds, self._where, self._tol = (unstable, stable), where, tol
         self._cuts = cuts
 
-    @property
-    def _least(self) -> np.ndarray:
-        """Sizes of components on both local manifolds."""
-        return np.max([each.departure.local.scale for each in self._manifolds], axis=0)
-
     def connections(self) -> list[Connection]:
         """The different connections, the most transversal first."""
         cuts = self._cuts
         segments = [
-            cut.segments(_neighbours(each)) for cut, each in zip(cuts, self._manifolds, strict=True)
+            cut.segments(each.starts.neighbours())
+            for cut, each in zip(cuts, self._manifolds, strict=True)
         ]
         found: list[Connection] = []
         known: list[Met] = []
         H, period = self._manifolds[0].H, self._manifolds[0].departure.period
         clock = None if H.time is None else period
         pair = segments[0], segments[1]
-        for place in nearby(cuts[0], cuts[1], pair, self._least, clock, _CANDIDATES):
+        scale = np.max([each.departure.local.scale for each in self._manifolds], axis=0)
+        for place in nearby(cuts[0], cuts[1], pair, scale, clock, _CANDIDATES):
             sides = [
                 self._side(n, own, share)
                 for n, own, share in zip((0, 1), place.pairs, place.shares, strict=True)
@@ -325,7 +322,8 @@ class _Search:
             if met is None or not met.mismatch <= self._tol:
                 continue
             known.append(met)
-            one = self._connection(met)
+            first, second = self._manifolds
+            one = connection_of((first.origin, second.origin), self._where, met, self._tol)
             if one.success and not any(self._same(one, other) for other in found):
                 found.append(one)
         return sorted(found, key=lambda one: -one.transversality)
@@ -351,16 +349,6 @@ class _Search:
             float((1 - share) * each.phases[a] + share * each.phases[b]),
             abs(float(t) - each.departure.start),
         )
-
-    def _connection(self, met: Met) -> Connection:
-        return connection_of(
-            (self._manifolds[0].origin, self._manifolds[1].origin),
-            self._where, met, self._tol,
-        )  # fmt: skip
-
-
-def _neighbours(manifold: Manifold) -> np.ndarray:
-    return manifold.starts.neighbours()
 
 
 def connection_of(

@@ -95,6 +95,17 @@ class Departure:
         return np.asarray(np.exp(-np.asarray(phases)[:, None] * self._logarithms))
 
 
+def _field(H: Hamiltonian, t: float, sign: int = 1) -> Callable[[np.ndarray], np.ndarray]:
+    """The rates at states, forwards or backwards in time."""
+    system = H.compile("numpy")
+
+    def field(states: np.ndarray) -> np.ndarray:
+        with np.errstate(all="ignore"):
+            return sign * np.asarray(system.vector_field(*system.arguments(states, t)))
+
+    return field
+
+
 def departure(origin: Origin, sign: int, wanted: float) -> Departure:
     """Find the local manifold of an equilibrium or an orbit, forwards or backwards in time.
 
@@ -124,17 +135,12 @@ def _of_equilibrium(origin: Equilibrium, sign: int, wanted: float) -> Departure:
         )
     system, z = H.compile("numpy"), origin.z
     matrix = sign * np.asarray(system.jacobian(*system.arguments(z, 0.0)))
-
-    def field(states: np.ndarray) -> np.ndarray:
-        with np.errstate(all="ignore"):
-            return sign * np.asarray(system.vector_field(*system.arguments(states, 0.0)))
-
     matrix, coupling = _coupled(matrix)
     rates, vectors = _eigenvectors(matrix, np.sort(origin.eigenvalues.real)[::-1][:count].min() / 2)
     if len(rates) != count:
         raise InputError("eigenvalues of the equilibrium are too near to zero to be told apart")
     slowest = 1 / float(rates.real.min())
-    flow = Flow(z, matrix, coupling, slowest, field)
+    flow = Flow(z, matrix, coupling, slowest, _field(H, 0.0, sign))
     radii = np.array([_radius(flow, vectors[:, k], rates[k]) for k in range(count)])
     for k in np.flatnonzero(rates.imag > 0):
         radii[k : k + 2] = radii[k : k + 2].min()
@@ -233,12 +239,6 @@ def _of_orbit(orbit: PeriodicOrbit, sign: int, wanted: float) -> Departure:
     turns = math.ceil(math.log(_GROWTH) / math.log(float(np.abs(rates).min())))
     period, start = orbit.period, orbit.problem.start
     point, time = orbit.z0, turns * period
-
-    def field(states: np.ndarray) -> np.ndarray:
-        system = H.compile("numpy")
-        with np.errstate(all="ignore"):
-            return np.asarray(system.vector_field(*system.arguments(states, start)))
-
     around = PeriodMap(
         point,
         np.linalg.matrix_power(matrix, turns),
@@ -246,7 +246,7 @@ def _of_orbit(orbit: PeriodicOrbit, sign: int, wanted: float) -> Departure:
         period,
         scale,
         _map_of(H, (start, start + sign * time)),
-        field if H.time is None else None,
+        _field(H, start) if H.time is None else None,
     )
     # The eigenvectors are the columns in units of the orbit.
     local = parameterized(around, rates**turns, scale[:, None] * vectors, _SHARE, wanted)

@@ -23,19 +23,7 @@ import sympy
 from hamsym.errors import InputError, VariableError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.symbolic.checks import name_of
-
-
-@dataclass(frozen=True)
-class Collision:
-    """A place where bodies meet: new variables u and P, and what they are of the old ones.
-
-    place, momentum: L(u) u and L(u) P/(2 r), formulas in the old variables.
-    """
-
-    u: tuple[str, ...]
-    P: tuple[str, ...]
-    place: tuple[sympy.Expr, ...]
-    momentum: tuple[sympy.Expr, ...]
+from hamsym.transformations.collisions import Collision, turning
 
 
 @dataclass(frozen=True)
@@ -88,13 +76,11 @@ class Bodies:
 def without_collisions(
     bodies: Bodies,
     free: Callable[[str], str],
-    matrix: Callable[[Sequence[sympy.Expr]], list[list[sympy.Expr]]],
     clock: sympy.Symbol,
 ) -> tuple[sympy.Expr, list[Collision], dict[str, sympy.Expr], dict[str, sympy.Expr]]:
     """Return Gamma, the collisions, the old variables in the new, and other new ones in the old.
 
     - free: A name that H does not have.
-    - matrix: L(u).
     - clock: The momentum of the time.
     """
     count, dim, total = len(bodies.masses), bodies.places[0].rows, sympy.Add(*bodies.masses)
@@ -108,7 +94,7 @@ def without_collisions(
         names = [free(f"{letter}{i + 1}{j + 1}") for letter in letters]
         u = [sympy.Symbol(name, real=True) for name in names]
         P = [sympy.Symbol(f"p_{name}", real=True) for name in names]
-        L = sympy.Matrix(matrix(u))
+        L = sympy.Matrix(turning(u))
         sizes[i, j] = sympy.Add(*(s**2 for s in u))
         products[i, j] = sympy.Add(*(s**2 for s in P))
         relative[i, j], turned[i, j] = L * sympy.Matrix(u), L * sympy.Matrix(P)

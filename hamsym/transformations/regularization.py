@@ -20,7 +20,6 @@ which is inserted for it: the difference is a multiple of l^2, which has no effe
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -36,8 +35,9 @@ from hamsym.support.shown import Shown
 from hamsym.support.suggestions import checked_keywords, require_known, suggest_attributes
 from hamsym.symbolic.checks import name_of
 from hamsym.symbolic.variables import TIME
-from hamsym.transformations.bodies import Bodies, Collision, without_collisions
+from hamsym.transformations.bodies import Bodies, without_collisions
 from hamsym.transformations.canonical_maps import OldVariables, by_powers, limited
+from hamsym.transformations.collisions import Collision, lifted, turning
 
 #: Kinds of regularizations: the number of old coordinates, and the names of new ones.
 KINDS = {
@@ -106,7 +106,7 @@ class Regularization(Shown):
             return [np.broadcast_to(f(z, float(t)), energy.shape) for f in functions]
 
         for each in self._collisions:
-            u, P = _lifted(of(each.place), of(each.momentum))
+            u, P = lifted(of(each.place), of(each.momentum))
             values |= dict(zip([*each.u, *each.P], [*u, *P], strict=True))
         values |= dict(zip(self._others, of([*self._others.values()]), strict=True))
         momentum = self.H.names[dof + self.H.names.index(self.time)]
@@ -142,29 +142,6 @@ class Regularization(Shown):
     @cached_property
     def _values(self) -> OldVariables:
         return OldVariables(self.original, self.H, self.formulas)
-
-
-def _lifted(
-    place: Sequence[np.ndarray], momentum: Sequence[np.ndarray]
-) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """The variables u and P of a collision: L(u) u is its place, and P = 2 L^T p."""
-    x, size = place[0], functools.reduce(np.hypot, place)
-    first = np.sqrt((size + np.abs(x)) / 2)
-    beside = [value / (2 * first) for value in place[1:]]
-    # of the two halves of the circle the one without a difference of near numbers
-    right, left = [first, beside[0]], [beside[0], first]
-    if len(place) == 3:
-        right, left = [*right, beside[1], 0 * x], [*left, 0 * x, beside[1]]
-    u = [np.where(x >= 0, *pair) for pair in zip(right, left, strict=True)]
-    columns = zip(*_matrix(u), strict=True)
-    return u, [2 * sum(a * p for a, p in zip(own, momentum, strict=True)) for own in columns]
-
-
-def _matrix(u: Sequence[Any]) -> list[list[Any]]:
-    """L(u)."""
-    if len(u) == 2:
-        return [[u[0], -u[1]], [u[1], u[0]]]
-    return [[u[0], -u[1], -u[2], u[3]], [u[1], u[0], -u[3], -u[2]], [u[2], u[3], u[0], u[1]]]
 
 
 @checked_keywords
@@ -209,7 +186,7 @@ def regularize(
     u = [sympy.Symbol(_free(name, H), real=True) for name in names]
     P = [sympy.Symbol(f"p_{symbol.name}", real=True) for symbol in u]
     r = sympy.Add(*(symbol**2 for symbol in u))
-    matrix = sympy.Matrix(_matrix(u))
+    matrix = sympy.Matrix(turning(u))
     shifts, turned = matrix * sympy.Matrix(u), matrix * sympy.Matrix(P) / r / 2
     momenta = [H.names[H.dof + H.names.index(name)] for name in moved]
     formulas: Formulas = {name: places[name] + shifts[k] for k, name in enumerate(moved)}
@@ -241,15 +218,14 @@ def _of_bodies(
     with limited("the regularized Hamiltonian"):
         bodies = Bodies.of(H, coordinates)
         gamma, collisions, formulas, others = without_collisions(
-            bodies, lambda name: _free(name, H), _matrix, clock[1]
+            bodies, lambda name: _free(name, H), clock[1]
         )
-    names = [*((each.u, each.P) for each in collisions)]
-    middles = list(others)[: len(others) // 2]
-    names.append((tuple(middles), tuple(f"p_{name}" for name in middles)))
+    half = len(others) // 2
+    q = [*(name for each in collisions for name in each.u), *[*others][:half]]
+    p = [*(name for each in collisions for name in each.P), *[*others][half:]]
     pairs = [
-        (sympy.Symbol(q, real=True), sympy.Symbol(p, real=True))
-        for own in names
-        for q, p in zip(*own, strict=True)
+        (sympy.Symbol(one, real=True), sympy.Symbol(other, real=True))
+        for one, other in zip(q, p, strict=True)
     ]
     return _extended(H, gamma, pairs, clock, formulas, collisions, others)
 
