@@ -18,7 +18,6 @@ A omega_2^2 - 2 B omega_1 omega_2 + C omega_1^2 is not zero (Arnold 1961; Moser 
 
 from __future__ import annotations
 
-import functools
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -32,6 +31,7 @@ from flint import acb, acb_mat, arb
 from hamsym.dynamics.equilibrium import Equilibrium
 from hamsym.errors import CertificationError, InputError
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.numerics.monomials import monomials
 from hamsym.proof.arithmetic.ball import Ball
 from hamsym.proof.arithmetic.ball_polynomials import BallPolynomial, Powers
 from hamsym.proof.arithmetic.balls import float_balls, working
@@ -167,9 +167,7 @@ class _Map:
         )
 
     def __call__(self, z: np.ndarray) -> np.ndarray:
-        table = z[..., None] ** np.arange(self._powers.max() + 1)
-        factors = (table[..., k, self._powers[:, k]] for k in range(z.shape[-1]))
-        return np.asarray(functools.reduce(np.multiply, factors) @ self._values)
+        return np.asarray(monomials(z, self._powers) @ self._values)
 
 
 # -- construction ----------------------------------------------------------------------------------

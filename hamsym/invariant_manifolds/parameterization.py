@@ -26,6 +26,7 @@ from typing import TypeAlias
 import numpy as np
 
 from hamsym.errors import InputError
+from hamsym.numerics.monomials import monomials
 from hamsym.numerics.scales import coupled_sizes
 
 _TERMS, _DEGREE = 50, 10  # most terms of W, and its largest degree
@@ -154,7 +155,7 @@ class LocalManifold:
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """States W(u), shape (..., n) -> (..., dim)."""
-        return np.asarray(self.point + (_table(u, self.powers) @ self.series).real)
+        return np.asarray(self.point + (monomials(u, self.powers) @ self.series).real)
 
     def tangents(self, u: np.ndarray) -> np.ndarray:
         """Derivatives of W by the coordinates, complex, shape (..., n) -> (..., dim, n)."""
@@ -170,16 +171,12 @@ def _complex(real: np.ndarray, rates: np.ndarray) -> np.ndarray:
     return found
 
 
-def _table(u: np.ndarray, powers: np.ndarray) -> np.ndarray:
-    return np.asarray(np.prod(np.asarray(u)[..., None, :] ** powers, axis=-1))
-
-
 def _tangents(u: np.ndarray, powers: np.ndarray, series: np.ndarray) -> np.ndarray:
     columns = []
     for k in range(powers.shape[1]):
         lower = powers.copy()
         lower[:, k] = np.maximum(lower[:, k] - 1, 0)
-        columns.append(_table(u, lower) * powers[:, k] @ series)
+        columns.append(monomials(u, lower) * powers[:, k] @ series)
     return np.stack(columns, axis=-1)
 
 
@@ -255,7 +252,7 @@ def _on_ball(
     factors = dynamics.factors(powers, rates)
     series = np.zeros((len(powers), len(vectors)), complex)
     series[degrees == 1] = vectors.T[np.argmax(powers[degrees == 1], axis=1)]
-    table = _table(_complex(_ball(count, 2 * len(powers), seed=0), rates), powers)
+    table = monomials(_complex(_ball(count, 2 * len(powers), seed=0), rates), powers)
     expansion, units = np.linalg.pinv(table), _sizes(dynamics, vectors.T)
     # Eigenvectors are not changed along themselves.
     solved = np.flatnonzero(degrees >= free)
@@ -288,7 +285,7 @@ def _judged(
     dynamics: Dynamics, rates: np.ndarray, powers: np.ndarray, series: np.ndarray, u: np.ndarray
 ) -> LocalManifold | None:
     """W with its error at points u, in its own sizes of the components."""
-    table = _table(u, powers)
+    table = monomials(u, powers)
     moved = (table @ series).real
     scale = _sizes(dynamics, moved)
     if not np.isfinite(scale).all():
