@@ -13,6 +13,7 @@ from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.formula.parser import check_name
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.orbits.arc import Arc, Problem
+from hamsym.orbits.integrals import shared_integrals
 from hamsym.orbits.proven_stability import WEAKER
 from hamsym.proof.arithmetic.ball import Ball
 from hamsym.proof.arithmetic.balls import decimal_above
@@ -35,16 +36,18 @@ class OrbitCertificate(SealedText):
     Attributes
     ----------
     z0 : Ball
-        Contains the state of the true orbit in the plane across the flow through the numerical
-        start, or in the set of its reversing symmetry; shape (dim,).
+        Contains the state of the true orbit in the plane across the flow, and across the symmetries
+        of further integrals, through the numerical start, or in the set of its reversing symmetry;
+        shape (dim,).
     period : Ball
         Contains its period.
     bound : float
         Largest distance of the true from the numerical state at the start and at all ends of
         pieces, relative to the size of each component.
     unique_within : float
-        The same, of a ball of states and periods in which no other orbit meets these conditions:
-        the plane or the fixed set at the start, the energy or the period, and the symmetry.
+        Every other orbit that meets these conditions is farther away at one of these places, or in
+        its period, relative to the same sizes: the planes across the flow and the directions of
+        integrals or the fixed set at the start, the energy or the period, and the symmetry.
     monodromy : Ball
         Contains dz(T)/dz0 of the true orbit over one shift of its symmetry, and back by it; over
         the period without a symmetry. Shape (dim, dim).
@@ -65,7 +68,7 @@ class OrbitCertificate(SealedText):
     """
 
     _KIND = "hamsym orbit certificate"
-    _VERSION = 3
+    _VERSION = 4
     _LONGEST = 2**22
     _OF = " of an orbit"
 
@@ -170,7 +173,7 @@ def statement_of(
     """Return what is proven, in words."""
     energy = "" if problem.energy is None else f"of energy {float(problem.energy)!r} "
     places = "At its start" + (
-        f" and at the ends of {pieces} equal parts of its arc" if pieces > 1 else ""
+        f" and at the ends of {pieces} parts of its arc" if pieces > 1 else ""
     )
     free = problem.autonomous and problem.period is None
     alike = "a period as near" if free else "the same period"
@@ -178,11 +181,13 @@ def statement_of(
         alike += " and the same energy"
     if problem.closing.parts > 1:
         alike += " and symmetry"
+    further = [each for each in shared_integrals(problem.H, problem.closing) if each != problem.H]
+    modulo = ", up to the motions that its integrals generate" if further else ""
     statement = (
         f"{_equation(problem.H)} has a periodic orbit {energy}with a period in "
         f"{period.mid!r} +- {_rounded_up(period.radius)}. {places} it is within "
         f"{_rounded_up(bound)} of the computed states, relative to the size of each component, "
-        f"and no other one with {alike} is within {_rounded_down(unique)}."
+        f"and no other one with {alike} is within {_rounded_down(unique)} of it{modulo}."
     )
     return statement if stability == "undecided" else f"{statement} It is {stability}."
 

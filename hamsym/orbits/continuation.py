@@ -19,10 +19,10 @@ from scipy.optimize import brentq
 
 from hamsym.numerics.collocation import collocation
 from hamsym.orbits.arc import Arc, Problem
+from hamsym.orbits.integrals import slice_of
 from hamsym.orbits.newton_system import NewtonSystem
 from hamsym.orbits.orbit import PeriodicOrbit, solved_orbit
 from hamsym.orbits.period import period_of
-from hamsym.orbits.search import anchor_of
 from hamsym.support.record_fields import Count, Size
 
 _FIRST, _SMALLEST = 0.02, 1e-6  # steps in scaled unknowns
@@ -150,7 +150,7 @@ class Continuation:
 
     def _point(self, orbit: PeriodicOrbit, before: _Point | None) -> _Point:
         problem = self._problem_of(orbit)
-        system = NewtonSystem(problem, orbit.arc, anchor_of(problem, orbit.arc))
+        system = NewtonSystem(problem, orbit.arc, slice_of(problem, orbit.arc))
         earlier = None if before is None else _carried(before, orbit.arc)
         point = _Point(orbit, system, system.direction(earlier))
         point.tests = _tests(point, problem)
@@ -168,7 +168,7 @@ class Continuation:
         arc = Arc(orbit.arc.edges, ends, values, orbit.arc.period + float(change[count]))
         problem = self._problem_of(orbit)
         if problem.parameter is not None:
-            problem = _varied(problem, float(change[count + 2]))
+            problem = _varied(problem, float(change[count + 1]))
         if not arc.period > 0:
             return None
         found = _converged_across(problem, arc, here.tangent, system.units)
@@ -279,10 +279,10 @@ def _converged_across(
     problem: Problem, arc: Arc, tangent: np.ndarray, units: np.ndarray
 ) -> tuple[Problem, Arc] | None:
     """Newton's method across the tangent, or None."""
-    anchor = anchor_of(problem, arc)
+    planes = slice_of(problem, arc)
     before = math.inf
     for _ in range(12):
-        system = NewtonSystem(problem, arc, anchor)
+        system = NewtonSystem(problem, arc, planes)
         step = system.solved(tangent * system.units / units)
         if not math.isfinite(step.size) or step.size > 0.5 or step.size > 2 * before:
             return None
@@ -353,7 +353,7 @@ def _tests(point: _Point, problem: Problem) -> dict[str, float]:
     count = orbit.arc.ends.size
     tests = {}
     if problem.parameter is not None:
-        tests[f"fold of {problem.parameter}"] = float(tangent[count + 2])
+        tests[f"fold of {problem.parameter}"] = float(tangent[count + 1])
     else:
         slope = np.asarray(orbit.H.compile("numpy").gradient(orbit.z0))
         change = (tangent * point.system.units)[: orbit.H.dim]

@@ -10,19 +10,15 @@ square root. They are therefore left out by their directions, not by their dista
 
 from __future__ import annotations
 
-import functools
 import math
 
 import numpy as np
 import scipy
-import sympy
 
-from hamsym.codegen.functions import compile_expressions
-from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.symplectic import poisson_product
+from hamsym.orbits.integrals import directions, integrals_of, natural_sizes
 from hamsym.orbits.symmetry import SignedPermutation
-from hamsym.symbolic.invariants import find_invariants, suggested_basis
 
 _PARABOLIC = 1e-5  # distance of a multiplier from 1 or -1 that round-off may cause
 _ON_CIRCLE = 1e-6  # distance of |multiplier| from 1 that round-off may cause
@@ -84,8 +80,9 @@ def _canonical(scale: np.ndarray) -> np.ndarray:
 
 def _basis(rows: np.ndarray) -> np.ndarray:
     """An orthonormal basis of the span of rows of any sizes."""
-    lengths = np.linalg.norm(rows, axis=1)
-    rows = rows[lengths > 0] / lengths[lengths > 0, None]
+    largest = np.abs(rows).max(axis=1)  # squares of small numbers may underflow
+    rows = rows[largest > 0] / largest[largest > 0, None]
+    rows = rows / np.linalg.norm(rows, axis=1, keepdims=True)
     if not len(rows):
         return rows
     _, singular, right = scipy.linalg.svd(rows, full_matrices=False)
@@ -150,44 +147,27 @@ def _kind(value: complex) -> str:
 
 # -- integrals -------------------------------------------------------------------------------------
 
-_DEGREE = 2  # of momenta, angular momenta and quadratic integrals
-_SECONDS = 60.0  # for their search
+_ROUND_OFF = 1e-7  # of a gradient, relative to its natural size
 
 
 def gradients_of_integrals(
-    H: Hamiltonian, state: np.ndarray, shift: SignedPermutation
+    H: Hamiltonian, state: np.ndarray, scale: np.ndarray, shift: SignedPermutation
 ) -> np.ndarray:
-    """Return gradients of H and of its further integrals at a state, shape (n, dim).
+    """Return gradients of the integrals of H at a state, shape (n, dim).
 
-    Integrals are those that :meth:`hamsym.Hamiltonian.invariants` finds for all values of the
-    parameters, and their images under a symmetry, so that it maps the span of the gradients to
-    itself. Where energy is not conserved, or the search fails, there are fewer.
+    Beside the integrals there are their images under a symmetry, so that it maps the span of the
+    gradients to itself. Gradients that are round-off are left out.
 
-    - state: Shape (dim,).
+    - state, scale: A state and the sizes of its components, shape (dim,).
     - shift: A symplectic symmetry of H.
     """
-    found = []
-    if H.conserves_energy:
-        found.append(np.asarray(H.compile("numpy").gradient(state))[None])
-    integrals = () if H.forces else _integrals(H.real_equations.expr, H.real_equations.z, H.time)
-    if integrals:
-        z = H.real_equations.z
-        slopes = [sympy.diff(integral, symbol) for integral in integrals for symbol in z]
-        function = compile_expressions(slopes, H.real_equations)
-        for k in range(shift.order):
-            power = shift.power(k)
-            rows = np.asarray(function(power(state))).reshape(len(integrals), H.dim)
-            found.append(rows @ power.matrix)
-    return np.concatenate(found) if found else np.zeros((0, H.dim))
-
-
-@functools.lru_cache(maxsize=64)
-def _integrals(
-    H: sympy.Expr, z: tuple[sympy.Symbol, ...], time: sympy.Symbol | None
-) -> tuple[sympy.Expr, ...]:
-    """Further integrals that do not contain the time."""
-    try:
-        found = find_invariants(H, z, time, {}, _DEGREE, suggested_basis(H, z), _SECONDS)
-    except InputError:  # too many candidates, or a function without exact rules
-        return ()
-    return tuple(integral.expr for integral in found if time not in integral.expr.free_symbols)
+    integrals = integrals_of(H)
+    found = [np.zeros((0, H.dim))]
+    for k in range(shift.order if integrals else 0):
+        power = shift.power(k)
+        moved, units = power(state), np.abs(power(scale))
+        fields = directions(integrals, moved)
+        least = _ROUND_OFF * natural_sizes(integrals, moved, units)
+        fields = fields[np.abs(fields / units).max(axis=1) > least]
+        found.append(-poisson_product(fields.T).T @ power.matrix)
+    return np.concatenate(found)

@@ -17,6 +17,7 @@ import sympy
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.orbits.arc import Arc, Problem
 from hamsym.orbits.condensed import CondensedWindows, solved
+from hamsym.orbits.integrals import Slice
 from hamsym.orbits.symmetry import Closing, SignedPermutation
 from hamsym.orbits.window_maps import WindowMaps
 
@@ -52,14 +53,17 @@ class Step:
 class NewtonSystem:
     """Newton's linear system at an arc, of its first and last state, the period and a parameter.
 
-    - anchor: A state and the vector field there: the orbit starts in the plane normal to the field.
-    - units: Of all unknowns: states at the ends of windows, period, alpha, parameter.
+    Along a solution of the equations dz/dt = J grad H + sum alpha_I grad I, which close, all alpha
+    vanish, because those of the integrals dI/dt = 0; they make the system square.
+
+    - slice: Planes in which the orbit starts, and the integrals.
+    - units: Of the unknowns of a family: states at the ends of windows, period, parameter.
     """
 
-    def __init__(self, problem: Problem, arc: Arc, anchor: tuple[np.ndarray, np.ndarray]) -> None:
-        self._arc, self._windows = arc, WindowMaps(problem, arc)
+    def __init__(self, problem: Problem, arc: Arc, slice: Slice) -> None:
+        self._arc, self._windows = arc, WindowMaps(problem, arc, slice.integrals)
         dim, self.scale = problem.H.dim, arc.scale
-        self._dim = dim
+        self._dim, self._numbers = dim, 2 + len(slice.integrals)
         self._rows: list[np.ndarray] = []
         self._right: list[np.ndarray] = []
         closing = problem.closing
@@ -68,11 +72,10 @@ class NewtonSystem:
             self._reflect(closing.last, -1)
         else:
             self._close(closing)
-            if problem.autonomous:
-                normal = anchor[1] / self.scale**2
-                self._add(normal, float(normal @ (arc.ends[0] - anchor[0])))
+        for normal in slice.normals:
+            self._add(normal, float(normal @ (arc.ends[0] - slice.state)))
         if problem.period is not None and problem.autonomous:
-            row = np.zeros((1, 2 * dim + 3))
+            row = np.zeros((1, 2 * dim + self._numbers))
             row[0, 2 * dim] = 1 / arc.period
             self._rows.append(row)
             self._right.append(np.array([problem.period / arc.period - 1]))
@@ -83,10 +86,9 @@ class NewtonSystem:
             if problem.parameter is not None:
                 by_parameter = _energy_slope(problem.H, problem.parameter, arc.ends[0])
             self._add(np.asarray(system.gradient(arc.ends[0])), excess, by_parameter)
-        self._unknown = np.ones(2 * dim + 3, dtype=bool)
-        self._unknown[-3] = problem.autonomous
-        self._unknown[-2] = problem.conservative and not closing.reversing
-        self._unknown[-1] = problem.parameter is not None
+        self._unknown = np.ones(2 * dim + self._numbers, dtype=bool)
+        self._unknown[2 * dim] = problem.autonomous
+        self._unknown[2 * dim + 1] = problem.parameter is not None
         self._condense()
 
     # -- equations ----------------------------------------------------------------------------
@@ -96,12 +98,13 @@ class NewtonSystem:
         arc, dim, scale = self._arc, self._dim, self.scale
         rows, right = np.vstack(self._rows), np.concatenate(self._right)
         windows = self._windows.ends / scale[:, None]
-        free = windows[..., dim : dim + 3]
-        largest = np.vstack([free.reshape(-1, 3), rows[:, -3:]])
+        free = windows[..., dim:-1]
+        largest = np.vstack([free.reshape(-1, self._numbers), rows[:, 2 * dim :]])
         units = np.concatenate([[arc.period], _largest(largest[:, 1:])])
-        self.units = np.concatenate([np.tile(scale, len(arc.ends)), units])
+        self._number_units = units
+        self.units = np.concatenate([np.tile(scale, len(arc.ends)), units[:2]])
         self._condensed = CondensedWindows(
-            windows[..., :dim] * scale, free * units, -windows[..., dim + 3]
+            windows[..., :dim] * scale, free * units, -windows[..., -1]
         )
         rows = rows * np.concatenate([scale, scale, units])
         self._matrix = np.vstack([self._condensed.matrix, rows])[:, self._unknown]
@@ -109,14 +112,14 @@ class NewtonSystem:
         self._residual = float(
             max(
                 np.abs(right).max(),
-                np.abs(windows[..., dim + 3]).max(),
+                np.abs(windows[..., -1]).max(),
                 (np.abs(self._windows.residual) / scale).max(),
             )
         )
 
     def _close(self, closing: Closing) -> None:
         arc, dim = self._arc, self._dim
-        row = np.zeros((dim, 2 * dim + 3))
+        row = np.zeros((dim, 2 * dim + self._numbers))
         row[:, :dim] = -closing.shift.matrix
         row[:, dim : 2 * dim] = np.eye(dim)
         self._rows.append(row / self.scale[:, None])
@@ -125,7 +128,7 @@ class NewtonSystem:
     def _reflect(self, symmetry: SignedPermutation, place: int) -> None:
         """Add the conditions of a reversing symmetry at the first or the last (-1) state."""
         conditions, dim = symmetry.conditions, self._dim
-        row = np.zeros((len(conditions), 2 * dim + 3))
+        row = np.zeros((len(conditions), 2 * dim + self._numbers))
         row[:, dim : 2 * dim] = conditions
         if place == 0:
             row = np.roll(row, -dim, axis=1)
@@ -135,8 +138,8 @@ class NewtonSystem:
 
     def _add(self, slope: np.ndarray, excess: float, by_parameter: float = 0.0) -> None:
         """Add the equation of the first state: slope . correction + by_parameter ... = -excess."""
-        row = np.zeros((1, 2 * self._dim + 3))
-        row[0, : len(slope)], row[0, -1] = slope, by_parameter
+        row = np.zeros((1, 2 * self._dim + self._numbers))
+        row[0, : len(slope)], row[0, 2 * self._dim + 1] = slope, by_parameter
         weight = float(np.abs(slope) @ self.scale) or 1.0
         self._rows.append(row / weight)
         self._right.append(np.array([-excess / weight]))
@@ -152,8 +155,8 @@ class NewtonSystem:
         solution, singular = solved(self._matrix, self._small_right)
         whole = self._whole(solution)
         if across is not None and np.isfinite(whole).all():
-            along = self._null_vector()
-            whole = whole - (across @ whole) / (across @ along) * along
+            along, count = self._null_vector(), len(across)
+            whole = whole - (across @ whole[:count]) / (across @ along[:count]) * along
         return self._step(whole, singular)
 
     def direction(self, before: np.ndarray | None) -> np.ndarray:
@@ -161,9 +164,8 @@ class NewtonSystem:
 
         States count as their root mean square, so that windows do not matter.
         """
-        found = self._null_vector()
+        found = self._null_vector()[: len(self.units)]
         count = self._arc.ends.size
-        found[count + 1] = 0.0
         weights = np.ones(len(found))
         weights[:count] = self._dim / count
         found *= weights
@@ -181,23 +183,24 @@ class NewtonSystem:
         small = np.zeros(len(self._unknown))
         small[self._unknown] = solution
         if not np.isfinite(small).all():
-            return np.full(len(self.units), math.nan)
+            return np.full(self._arc.ends.size + self._numbers, math.nan)
         states = self._condensed.states(small, homogeneous=homogeneous)
-        return np.concatenate([states.ravel(), small[-3:]])
+        return np.concatenate([states.ravel(), small[2 * self._dim :]])
 
     def _step(self, whole: np.ndarray, singular: bool) -> Step:
         windows, dim, count = self._windows, self._dim, self._arc.ends.size
-        size = float(np.abs(np.delete(whole, count + 1)).max())
-        whole = whole * self.units
-        ends = whole[:count].reshape(-1, dim)
+        size = float(np.abs(whole[: len(self.units)]).max())
+        numbers = whole[count:] * self._number_units
+        whole = whole[:count] * self.units[:count]
+        ends = whole.reshape(-1, dim)
         inside = windows.inside
         values = np.einsum("kjac,kc->kja", inside[..., :dim], ends[:-1])
-        values += inside[..., dim : dim + 3] @ whole[count:] + inside[..., dim + 3]
+        values += inside[..., dim:-1] @ numbers + inside[..., -1]
         return Step(
             ends,
             values,
-            float(whole[count]),
-            float(whole[count + 2]),
+            float(numbers[0]),
+            float(numbers[1]),
             self._residual,
             max(size, float((np.abs(values) / self.scale).max())),
             singular,

@@ -61,8 +61,9 @@ class PeriodicOrbit(Drawn, Saved):
         Estimated error of the states and of the period, relative to the largest size of each
         component and to the period.
     is_isolated : bool
-        Whether the orbit is the only one near it with its energy or period and its symmetry. If
-        not, H has more conserved quantities, or the orbit is at a bifurcation.
+        Whether the orbit is the only one near it with its energy or period and its symmetry, up to
+        the motions that the integrals of H generate, as rotations. If not, H has more integrals
+        than :meth:`hamsym.Hamiltonian.invariants` finds, or the orbit is at a bifurcation.
     repetitions : int
         Number of times that the orbit is run through in its period.
     seconds : float
@@ -183,7 +184,7 @@ class PeriodicOrbit(Drawn, Saved):
     def _reduced(self) -> np.ndarray:
         """The shift map without the directions of integrals and of their symmetries."""
         problem, z0 = self.problem, self.z0
-        gradients = gradients_of_integrals(self.H, z0, problem.closing.shift)
+        gradients = gradients_of_integrals(self.H, z0, self.arc.scale, problem.closing.shift)
         rate = vector_field_at(self.H, z0, problem.start) if problem.autonomous else None
         if problem.conservative:
             rate = None  # that of H

@@ -21,10 +21,11 @@ _MOST = 64  # of those
 _NEAR = 8 * 2.0**-52  # fractions of an arc beside the one that is meant
 
 
-def check_orbit(orbit: PeriodicOrbit, states: np.ndarray) -> None:
+def check_orbit(orbit: PeriodicOrbit, known: np.ndarray, states: np.ndarray) -> None:
     """Require that an orbit evaluates its proven states, and its stored ones in between.
 
-    - states: What the proof is about, at equal parts of the arc from its start, shape (n, dim).
+    - known, states: Fractions of the arc, shape (n,), and what the proof is about there, shape (n,
+      dim).
 
     Raises
     ------
@@ -34,7 +35,6 @@ def check_orbit(orbit: PeriodicOrbit, states: np.ndarray) -> None:
     if not (np.array_equal(orbit.z0, arc.ends[0]) and orbit.period == arc.period):
         raise CertificationError("the start or the period of the orbit is not that of its arc")
     random = np.random.default_rng(len(states))
-    known = np.arange(len(states)) / len(states)
     fractions = np.concatenate((known, random.random(_TIMES)))
     parts = np.concatenate((np.zeros(len(states)), random.integers(closing.parts, size=_TIMES)))
     along = np.where(closing.reversing & (parts % 2 == 1), 1 - fractions, fractions)

@@ -22,26 +22,32 @@ WEAKER: dict[str, tuple[str, ...]] = {
 }
 
 
-def proven_stability(matrix: Any, autonomous: bool) -> str:
-    """Return the word for the stability of every symplectic matrix in a matrix of balls.
+def proven_stability(matrix: Any, whole: Any, *, forced: bool) -> str:
+    """Return the word for the stability of every derivative over one shift in a matrix of balls.
+
+    - matrix: The derivative without trivial directions (:mod:`hamsym.orbits.quotients`).
+    - whole: The derivative with them.
+    - forced: Whether there are forces, so that the derivative is not symplectic.
+    """
+    return _attraction(matrix) if forced else _symplectic(matrix, whole)
+
+
+def _symplectic(matrix: Any, whole: Any) -> str:
+    """The word for the stability of every symplectic matrix in a matrix of balls.
 
     Words are those of :func:`hamsym.orbits.multipliers.stability_of`, without "mixed" where none
     is proven for all pairs: then "unstable" if one of them is proven to be off the unit circle.
 
-    The multipliers of a shift come in pairs m, 1/m. With the trivial pair divided out, the
-    characteristic polynomial is one of m + 1/m, whose signs between its roots are tested.
-
-    - matrix: The derivative over one shift.
-    - autonomous: Whether there is a trivial pair.
+    The multipliers of a shift come in pairs m, 1/m, so that the characteristic polynomial is one of
+    m + 1/m, whose signs between its roots are tested. Where no pair is left, the whole derivative
+    decides.
     """
     polynomial = matrix.charpoly()
     coefficients = [polynomial[i] for i in range(matrix.nrows() + 1)]
-    for _ in range(2 if autonomous else 0):
-        coefficients = _divided(coefficients)
     n = (len(coefficients) - 1) // 2
     if n == 0:
-        size = matrix.nrows()
-        excess = [matrix[i, j] - (i == j) for i in range(size) for j in range(size)]
+        size = whole.nrows()
+        excess = [whole[i, j] - (i == j) for i in range(size) for j in range(size)]
         return "parabolic" if any(entry != 0 for entry in excess) else "undecided"
     middles = np.array([float(entry.mid()) for entry in coefficients])
     if not np.isfinite(middles).all():
@@ -77,17 +83,15 @@ def _of_sums(coefficients: list[Any], rho: float) -> Any:
     return found
 
 
-def proven_attraction(matrix: Any, autonomous: bool) -> str:
-    """Return the stability of a periodic orbit with forces, for every matrix in one of balls.
+def _attraction(matrix: Any) -> str:
+    """The stability of a periodic orbit with forces, for every matrix in one of balls.
 
-    The zeros of the characteristic polynomial, without the multiplier 1 of the flow, are located by
-    the recursion of Schur and Cohn: all are inside the unit circle if and only if at each step the
-    last coefficient is larger than the first.
+    The zeros of the characteristic polynomial are located by the recursion of Schur and Cohn: all
+    are inside the unit circle if and only if at each step the last coefficient is larger than the
+    first.
     """
     polynomial = matrix.charpoly()
     coefficients = [polynomial[i] for i in range(matrix.nrows() + 1)]
-    if autonomous:
-        coefficients = _divided(coefficients)
     if _inside(coefficients):
         return "attracting"
     if _inside(coefficients[::-1]):
@@ -105,15 +109,6 @@ def _inside(coefficients: list[Any]) -> bool:
         pairs = zip(coefficients, reversed(coefficients), strict=True)
         coefficients = [last * a - first * b for a, b in pairs][1:]
     return True
-
-
-def _divided(coefficients: list[Any]) -> list[Any]:
-    """Divide a polynomial by m - 1, which is a factor of it."""
-    found, carried = [], arb(0)
-    for entry in reversed(coefficients[1:]):
-        carried = carried + entry
-        found.append(carried)
-    return found[::-1]
 
 
 def _sign(value: Any) -> int:

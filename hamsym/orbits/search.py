@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.integrate import DOP853, DenseOutput, OdeSolution
@@ -15,8 +16,10 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.collocation import collocation
 from hamsym.numerics.scales import floored_sizes
 from hamsym.orbits.arc import Arc, Problem
+from hamsym.orbits.integrals import slice_of
 from hamsym.orbits.newton_system import NewtonSystem, Step
 from hamsym.orbits.symmetry import Closing
+from hamsym.orbits.window_maps import WindowMaps
 from hamsym.random_features.flow import flow_of
 
 _NODES, _FEW_NODES, _MANY = 20, 12, 20  # points in a window; fewer from so many components on
@@ -29,7 +32,12 @@ _TAIL = 1e-13  # coefficients that a window leaves out, relative to the componen
 _REFINEMENTS = 12
 _MOST_WINDOWS = 10_000
 _MOST_ENTRIES = 50_000_000  # of the derivatives at the points of all windows
-_STEPS_PER_WINDOW = 3  # of DOP853 with a tolerance of 1e-10
+_FIRST = 1e-13  # tolerance of DOP853 along a guess: unstable orbits magnify errors
+_STEPS_PER_WINDOW = 7  # of DOP853
+_INSIDE = 2  # corrections inside windows before the search
+_SHOTS = 3  # corrections of the start before the search
+_FAST, _SLOW_START = 1e-3, 1e-2  # change of states for which they are made, and share of the start
+_CLOSED = 1e-5  # distance from closing that no other period makes smaller
 _MOST_STEPS = 5000  # of DOP853 in the search for a return
 _HORIZONS = 6  # times that the search for a return doubles its time
 _NEAR = 0.1  # distance of a return that ends the search, relative to the motion
@@ -47,11 +55,6 @@ class Found:
     step: Step
     #: Reason of a failure, or an empty text.
     failure: str = ""
-
-
-def anchor_of(problem: Problem, arc: Arc) -> tuple[np.ndarray, np.ndarray]:
-    """Return the first state of an arc and the vector field there."""
-    return arc.ends[0], vector_field_at(problem.H, arc.ends[0], problem.start)
 
 
 def vector_field_at(H: Hamiltonian, state: np.ndarray, time: float) -> np.ndarray:
@@ -81,7 +84,7 @@ def first_arc(problem: Problem, state: np.ndarray, period: float) -> Arc:
     sizes = _sizes(problem.H, state, problem.start)[1]
     windows = _most_windows(problem.H)
     most = _STEPS_PER_WINDOW * (windows + 1)
-    found, _ = _integrated(_rates(problem.H), span, state, 1e-10, sizes, most)
+    found, _ = _integrated(_rates(problem.H), span, state, _FIRST, sizes, most)
     reached = found.ts[-1] >= problem.start + duration
     if not reached and len(found.ts) <= most:
         raise InputError(
@@ -99,11 +102,86 @@ def first_arc(problem: Problem, state: np.ndarray, period: float) -> Arc:
     edges = (found.ts[::_STEPS_PER_WINDOW] - problem.start) / duration
     edges = np.append(edges[edges < 1 - 1e-9], 1.0)
     edges = edges if len(edges) > 3 else np.linspace(0, 1, 4)
-    nodes = _nodes(problem.H)
-    points = edges[:-1, None] + np.diff(edges)[:, None] * collocation(nodes).nodes
-    states = found(problem.start + points.ravel() * duration).T
-    ends = found(problem.start + edges * duration).T
-    return Arc(edges, ends, states.reshape(*points.shape, -1), period)
+    arc = _in_windows(problem, state, edges, period, sizes)
+    tails = arc.tails()
+    if (tails > _TAIL).any():
+        # The coefficients that a window leaves out fall with a power of its width.
+        parts = np.ceil(1.2 * (tails / _TAIL) ** (1 / arc.values.shape[1])).astype(int)
+        pieces = zip(pairwise(edges.tolist()), np.maximum(parts, 1).tolist(), strict=True)
+        finer = [np.linspace(*ends, count + 1)[:-1] for ends, count in pieces]
+        arc = _in_windows(problem, state, np.append(np.concatenate(finer), 1.0), period, sizes)
+    return _shot(problem, _inside_solved(problem, arc), sizes)
+
+
+def _shot(problem: Problem, arc: Arc, sizes: np.ndarray) -> Arc:
+    """Correct the start and the period alone, while that brings the end nearer.
+
+    Where the motion is much faster than elsewhere, as in close encounters, a small shift of time
+    changes the states by much, which Newton's method for all states does not follow.
+    """
+    with np.errstate(all="ignore"):
+        before = NewtonSystem(problem, arc, slice_of(problem, arc)).solved()
+        for _ in range(_SHOTS):
+            start = float(np.abs(before.ends[0] / arc.scale).max())
+            if not (before.size > _FAST and start < _SLOW_START * before.size):
+                break
+            state, period = arc.ends[0] + before.ends[0], arc.period + before.period
+            try:
+                trial = _inside_solved(
+                    problem, _in_windows(problem, state, arc.edges, period, sizes)
+                )
+            except InputError:
+                break
+            after = NewtonSystem(problem, trial, slice_of(problem, trial)).solved()
+            if not after.residual < before.residual / 2:
+                break
+            arc, before = trial, after
+    return arc
+
+
+def _in_windows(
+    problem: Problem, state: np.ndarray, edges: np.ndarray, period: float, sizes: np.ndarray
+) -> Arc:
+    """Integrate an arc window by window.
+
+    The time starts at 0 in each: sums of it are rounded, by more than close encounters allow.
+    """
+    rates, rule = _rates(problem.H), collocation(_nodes(problem.H))
+    duration = period / problem.closing.parts
+    ends, values = [state], []
+    for low, high in pairwise(edges.tolist()):
+        begin, length = problem.start + low * duration, (high - low) * duration
+
+        def moved(t: float, z: np.ndarray, begin: float = begin) -> np.ndarray:
+            return rates(begin + t, z)
+
+        path, finished = _integrated(moved, (0.0, length), ends[-1], _FIRST, sizes, _MOST_STEPS)
+        if not finished:
+            raise InputError(
+                f"the trajectory of the guess ends at t = {begin + path.ts[-1]:.6g}, before its "
+                "period; give another guess"
+            )
+        ends.append(path(length))
+        values.append(path(length * rule.nodes).T)
+    return Arc(edges, np.array(ends), np.array(values), period)
+
+
+def _inside_solved(problem: Problem, arc: Arc) -> Arc:
+    """Solve the equations inside each window from its start.
+
+    The polynomials between the steps of DOP853 are less accurate than the steps, and unstable
+    orbits magnify their errors.
+    """
+    with np.errstate(all="ignore"):
+        for _ in range(_INSIDE):
+            maps = WindowMaps(problem, arc, ())
+            if not (np.abs(maps.residual) / arc.scale).max() > _TAIL:
+                break
+            moved = replace(arc, values=arc.values + maps.inside[..., -1])
+            if not np.isfinite(moved.values).all():
+                break
+            arc = moved
+    return arc
 
 
 def _nearest_return(found: OdeSolution, closing: Closing, duration: float) -> float:
@@ -118,6 +196,8 @@ def _nearest_return(found: OdeSolution, closing: Closing, duration: float) -> fl
     def distance(times: np.ndarray) -> np.ndarray:
         return _distances(closing, found(start + np.append(0.0, times)).T, units)[1:]
 
+    if distance(np.array([duration]))[0] < _CLOSED:
+        return duration
     near = duration * np.linspace(1 - _AROUND, 1 + _AROUND, _PLACES)
     k = int(np.argmin(distance(near)))
     if k in (0, _PLACES - 1):
@@ -231,9 +311,9 @@ def _rates(H: Hamiltonian) -> Callable[[float, np.ndarray], np.ndarray]:
 
 def converged(problem: Problem, arc: Arc) -> Found:
     """Apply Newton's method with step control until corrections are round-off."""
-    anchor = anchor_of(problem, arc)
     with np.errstate(all="ignore"):
-        step = NewtonSystem(problem, arc, anchor).solved()
+        planes = slice_of(problem, arc)
+        step = NewtonSystem(problem, arc, planes).solved()
         slow = 0
         for _ in range(_ITERATIONS):
             if not math.isfinite(step.size):
@@ -243,7 +323,7 @@ def converged(problem: Problem, arc: Arc) -> Found:
             share = min(1.0, 1.0 / step.size)
             for _ in range(_HALVINGS):
                 trial = step.applied(arc, share)
-                after = NewtonSystem(problem, trial, anchor).solved()
+                after = NewtonSystem(problem, trial, planes).solved()
                 # Smaller corrections are progress as well as smaller residuals, in any units.
                 less = 1 - share / 4
                 progress = after.residual <= less * step.residual or after.size <= less * step.size
@@ -260,7 +340,7 @@ def converged(problem: Problem, arc: Arc) -> Found:
             slow += share < _SLOW
             if slow > _MOST_SLOW:
                 return Found(trial, after, "Newton's method is too slow from this guess")
-            stalled = step.size <= 1e-7 and after.size > 0.3 * step.size
+            stalled = step.size <= 1e-5 and after.size > 0.3 * step.size
             arc, step = trial, after
             if stalled:
                 return Found(arc, step)
@@ -294,9 +374,8 @@ def check(problem: Problem, arc: Arc) -> tuple[Arc, Step, float]:
       error.
     """
     finer = arc.on(arc.edges, arc.values.shape[1] + _EXTRA_NODES)
-    anchor = anchor_of(problem, arc)
     with np.errstate(all="ignore"):
-        step = NewtonSystem(problem, finer, anchor).solved()
+        step = NewtonSystem(problem, finer, slice_of(problem, arc)).solved()
     ends = np.abs(step.ends / arc.scale).max()
     error = float(max(ends, abs(step.period) / arc.period))
     return (step.applied(finer) if math.isfinite(step.size) else arc), step, error

@@ -8,9 +8,11 @@ many thousands. Newton's matrix is needed in float64 only.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
+from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.collocation import collocation
 from hamsym.orbits.arc import Arc, Problem
 from hamsym.random_features.flow import flow_of
@@ -20,17 +22,20 @@ _BLOCK = 1 << 22  # entries of the matrices of windows that are solved at once
 
 
 class WindowMaps:
-    """Corrections in windows by those at their start, of T, alpha and a parameter, plus constants.
+    """Corrections in windows by those at their start, of n numbers, plus constants.
 
-    - inside, ends: At the points, shape (k, nodes, dim, dim + 4), and at the ends, shape (k, dim,
-      dim + 4).
+    The numbers are the period, a parameter, and alpha of each integral.
+
+    - inside, ends: At the points, shape (k, nodes, dim, dim + n + 1), and at the ends, shape (k,
+      dim, dim + n + 1).
     - residual: Of the collocation equations, shape (k, nodes, dim).
     """
 
-    def __init__(self, problem: Problem, arc: Arc) -> None:
+    def __init__(self, problem: Problem, arc: Arc, integrals: Sequence[Hamiltonian]) -> None:
         windows, nodes, dim = arc.values.shape
-        self.inside = np.empty((windows, nodes, dim, dim + 4))
-        self.ends = np.empty((windows, dim, dim + 4))
+        self._integrals, columns = integrals, dim + 3 + len(integrals)
+        self.inside = np.empty((windows, nodes, dim, columns))
+        self.ends = np.empty((windows, dim, columns))
         self.residual = np.empty((windows, nodes, dim))
         self._problem, self._arc, self._scale = problem, arc, arc.scale
         count = max(1, _BLOCK // (nodes * dim) ** 2)
@@ -53,30 +58,35 @@ class WindowMaps:
         jacobians = flow.jacobian(states, times).reshape(windows, nodes, dim, dim)
         jacobians = jacobians * lengths[..., None]
         half = dim // 2
-        slopes = np.concatenate([-rates[..., half:], rates[..., :half]], axis=-1)  # grad H
-        forcing = np.zeros((windows, nodes, dim, 4))
-        forcing[..., 0], forcing[..., 1] = rates * share, slopes * lengths
+        forcing = np.zeros((windows, nodes, dim, self.ends.shape[-1] - dim))
+        forcing[..., 0] = rates * share
         if problem.parameter is not None:
             found = ParameterForcing(problem.H, (problem.parameter,))(states, times)
-            forcing[..., 2] = found.reshape(windows, nodes, dim) * lengths
+            forcing[..., 1] = found.reshape(windows, nodes, dim) * lengths
+        for k, integral in enumerate(self._integrals):
+            field = rates
+            if integral is not problem.H:
+                field = flow_of(integral).vector_field(states, times).reshape(rates.shape)
+            slopes = np.concatenate([-field[..., half:], field[..., :half]], axis=-1)  # grad I
+            forcing[..., 2 + k] = slopes * lengths
         inside, last = rule.integration[:-1], rule.integration[-1]
         residual, gaps = self._residuals(block, states, times)
-        columns = np.zeros((windows, nodes, dim, dim + 4))
+        columns = np.zeros((windows, nodes, dim, self.ends.shape[-1]))
         columns[..., :dim] = np.eye(dim)
         columns[..., dim:] = np.einsum("ij,kjdc->kidc", inside, forcing)
-        columns[..., dim + 3] = residual
+        columns[..., -1] = residual
         size = nodes * dim
         # In units of the components: pivots of coordinates and momenta are comparable in no others.
         scaled = jacobians * scale / scale[:, None]
         matrix = np.einsum("ij,kjab->kiajb", inside, scaled).reshape(windows, size, size)
-        right = (columns / scale[:, None]).reshape(windows, size, dim + 4)
+        right = (columns / scale[:, None]).reshape(windows, size, -1)
         solution = _each_solved(np.eye(size) - matrix, right).reshape(columns.shape)
         solution *= scale[:, None]
         driven = np.einsum("kjab,kjbc->kjac", jacobians, solution)
         driven[..., dim:] += forcing
         ends = np.einsum("j,kjac->kac", last, driven)
         ends[..., :dim] += np.eye(dim)
-        ends[..., dim + 3] += gaps
+        ends[..., -1] += gaps
         self.inside[block], self.ends[block], self.residual[block] = solution, ends, residual
 
     def _residuals(

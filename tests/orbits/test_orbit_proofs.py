@@ -10,7 +10,7 @@ import sympy
 
 import hamsym
 from hamsym.errors import CertificationError
-from hamsym.orbits.proven_stability import WEAKER, proven_attraction, proven_stability
+from hamsym.orbits.proven_stability import WEAKER, proven_stability
 from hamsym.orbits.symmetry import SignedPermutation, closing_of
 from hamsym.symbolic.exact import fraction
 from tests.orbits.test_periodic_orbit import (
@@ -384,7 +384,7 @@ def test_stability_of_matrices_with_known_multipliers(multipliers, expected):
     companion = np.diag(np.ones(3), -1)
     companion[0] = -coefficients[1:]
     matrix = flint.arb_mat([[flint.arb(v, 1e-12) for v in row] for row in companion.tolist()])
-    assert proven_stability(matrix, autonomous=False) == expected
+    assert proven_stability(matrix, matrix, forced=False) == expected
     assert expected in WEAKER
 
 
@@ -396,7 +396,7 @@ def test_shear_is_proven_parabolic(shear, radius, expected):
     matrix = flint.arb_mat(
         [[flint.arb(v, radius) for v in row] for row in ((1.0, shear), (0.0, 1.0))]
     )
-    assert proven_stability(matrix, autonomous=True) == expected
+    assert proven_stability(flint.arb_mat(0, 0), matrix, forced=False) == expected
     assert expected in WEAKER
 
 
@@ -417,5 +417,5 @@ def test_attraction_of_matrices_with_known_multipliers(multipliers, expected):
     companion = np.diag(np.ones(2), -1)
     companion[0] = -coefficients[1:]
     matrix = flint.arb_mat([[flint.arb(v, 1e-12) for v in row] for row in companion.tolist()])
-    assert proven_attraction(matrix, autonomous=False) == expected
+    assert proven_stability(matrix, matrix, forced=True) == expected
     assert expected in WEAKER

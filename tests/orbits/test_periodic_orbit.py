@@ -111,9 +111,18 @@ def test_figure_eight_has_the_published_multipliers():
         assert np.abs(orbit.multipliers - expected).min() < 2e-6
 
 
-@pytest.mark.slow
-def test_figure_eight_without_symmetry_is_not_isolated():
+def test_figure_eight_without_symmetry_is_isolated_up_to_motions_of_its_integrals():
     orbit = hamsym.periodic_orbit(three_bodies(), (EIGHT, 6.3259))
+    assert orbit.success
+    assert orbit.is_isolated
+    certificate = orbit.certify()
+    assert certificate.stability == "elliptic"
+    assert certificate.bound < 1e-14
+    assert "up to the motions that its integrals generate" in certificate.statement
+
+
+def test_orbit_of_more_integrals_than_are_found_is_not_isolated():
+    orbit = hamsym.periodic_orbit("(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)", [1, 0, 0, 0.8])
     assert orbit.success
     assert not orbit.is_isolated
     assert "not isolated" in orbit.message
@@ -269,9 +278,25 @@ def test_many_bounces_do_not_stop_the_search():
 
 
 def test_failed_orbit_has_a_text():
-    orbit = hamsym.periodic_orbit("p**2/2 + x**2/2", [1e-200, 0.0])
+    orbit = hamsym.periodic_orbit("p**2/2 + x**2/2", [1.0, 0.0], tol=1e-17)
     assert not orbit.success
     assert orbit.stability in repr(orbit)
+
+
+def test_orbit_whose_squares_underflow_is_found():
+    orbit = hamsym.periodic_orbit("p**2/2 + x**2/2", [1e-200, 0.0])
+    assert orbit.success
+    assert orbit.period == pytest.approx(2 * math.pi, rel=1e-14)
+    assert orbit.stability == "elliptic"
+
+
+@pytest.mark.parametrize("height", [0.0, 1e-12])
+def test_integral_at_rest_has_no_direction(height):
+    # a pendulum at rest, or nearly, beside an oscillator: its gradient is zero, or round-off
+    H = hamsym.Hamiltonian("p_a**2/2 - cos(a) + p_x**2/2 + 2*x**2")
+    orbit = hamsym.periodic_orbit(H, [height, 1.0, 0, 0])
+    assert orbit.success
+    assert np.abs(np.sort_complex(orbit.shift_multipliers) + 1).max() < 1e-6  # exp(+-i pi)
 
 
 def test_small_multiplier_is_the_inverse_of_the_large_one():

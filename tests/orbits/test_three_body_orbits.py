@@ -81,6 +81,31 @@ def test_published_orbit_is_found_and_closes(name):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "word"),
+    [("moth I", "elliptic"), ("butterfly I", "mixed"), ("yin-yang I", "mixed")],
+)
+def test_published_orbit_is_proven_with_its_stability(name, word):
+    orbit = hamsym.periodic_orbit(PLANAR, published(name))
+    assert orbit.is_isolated
+    assert orbit.relative_error < 1e-11
+    certificate = orbit.certify()
+    assert certificate.stability == orbit.stability == word
+    assert certificate.bound < 1e-12
+    assert abs(certificate.period.mid - orbit.period) < 1e-12 * orbit.period
+    certificate.verify(orbit)
+
+
+@pytest.mark.slow
+def test_stable_orbit_in_space_is_proven_elliptic(stable):
+    assert stable.relative_error < 1e-12
+    certificate = stable.certify()
+    assert certificate.stability == "elliptic"
+    assert certificate.bound < 1e-12
+    assert abs(certificate.period.mid - STABLE[1]) < 1e-12
+
+
+@pytest.mark.slow
 def test_closest_encounters_are_found_with_their_error():
     guess, period = published("butterfly II")
     orbit = hamsym.periodic_orbit(PLANAR, (guess, period), tol=1e-6)

@@ -371,6 +371,15 @@ class Enclosure(Drawn, Saved):
             t, lambda *place: [part[:, dim:] for part in self._slopes(*place)], (dim, count)
         )
 
+    def end_states(self) -> tuple[Ball, np.ndarray]:
+        """Enclose the state at the end as a ball plus numbers below its round-off, shapes (dim,).
+
+        Of one initial state the ball is narrower than round-off.
+        """
+        require_float64()
+        high, low, radius = self._sums(*self._place(self.span[1]))
+        return Ball(high, radius), low
+
     def _at(self, t: Any, value: Any, shape: tuple[int, ...]) -> Ball:
         require_float64()
         times = times_in_span(t, self.span, extrapolate=True)
@@ -399,14 +408,19 @@ class Enclosure(Drawn, Saved):
         return k, enclosures().chebyshev_balls(number_of(x), window.high.shape[1])
 
     def _state(self, k: int, basis: Any) -> Sequence[np.ndarray]:
+        high, low, radius = self._sums(k, basis)
+        return [high, up(radius + np.abs(low))]
+
+    def _sums(self, k: int, basis: Any) -> Sequence[np.ndarray]:
+        """Middles as sums of two numbers, and radii."""
         window, dim = self.windows[k], self.H.dim
         if isinstance(window, SetWindow):
-            return window.state(basis)
+            middle, radius = window.state(basis)
+            return [middle, np.zeros(dim), radius]
         value = enclosures().vector_value(window.high, window.low, basis)
         matrix, error = enclosures().matrix_value(window.V, basis)
         radius = enclosures().set_radius(matrix, error, window.G, window.R[:, None])[:dim, 0]
-        radius = radius + window.beside + np.abs(value[:, 1]) + value[:, 2]
-        return [value[:, 0], up(radius)]
+        return [value[:, 0], value[:, 1], up(radius + window.beside + value[:, 2])]
 
     def _slopes(self, k: int, basis: Any) -> Sequence[np.ndarray]:
         """dz/d(z0, k): the derivative of the window times that of the windows before."""
