@@ -7,7 +7,7 @@
 /* -- guesses, without bounds ------------------------------------------------------------------- */
 
 /* Run a program on values at points, rows of n numbers, a multiple of eight. */
-static void run_values(const series_step *program, long steps, double *rows, long n) {
+void run_values(const series_step *program, long steps, double *rows, long n) {
   typedef void row_function(const double *, double *, long);
   static row_function *const functions[] = {hamsym_log, hamsym_atan, hamsym_asin, hamsym_acos, hamsym_asinh,
                                             hamsym_acosh, hamsym_atanh, hamsym_erf};
@@ -72,9 +72,9 @@ EXPORTED int64_t hamsym_collocate(const series_step *program, int64_t steps, con
 
 /* Fixed-point iteration for V at the points, dim x columns x points. It ends when each column has converged in units
    of the components, because columns are of different dimensions, and their entries, too. */
-EXPORTED int64_t hamsym_tangents(const double *rows, const entry *entries, const double *signs, int64_t count,
-                                 int64_t dim, int64_t columns, const double *integral, int64_t points, double half,
-                                 const double *units, int64_t most, double *found) {
+int iterate_tangents(const double *rows, const entry *entries, const double *signs, long count, long dim, long columns,
+                     const double *integral, long points, double half, const double *units, long most, double enough,
+                     double *found) {
   double *rates = malloc((dim * columns + 1) * points * sizeof *rates), before = INFINITY;
   if (!rates) return 0;
   double *done = rates + dim * columns * points;
@@ -109,18 +109,24 @@ EXPORTED int64_t hamsym_tangents(const double *rows, const entry *entries, const
       }
       if (shift != 0) change = shift / size < INFINITY ? larger(shift / size, change) : INFINITY;
     }
-    if (!(change < INFINITY) || change <= 4e-16 || (change <= 1e-12 && change >= 0.5 * before)) break;
+    if (!(change < INFINITY) || change <= enough || (change <= 1e-12 && change >= 0.5 * before)) break;
     before = change;
   }
   free(rates);
   return 1;
 }
 
+EXPORTED int64_t hamsym_tangents(const double *rows, const entry *entries, const double *signs, int64_t count,
+                                 int64_t dim, int64_t columns, const double *integral, int64_t points, double half,
+                                 const double *units, int64_t most, double *found) {
+  return iterate_tangents(rows, entries, signs, count, dim, columns, integral, points, half, units, most, 4e-16, found);
+}
+
 /* c with c = -D + w int A c at the points, from -D; both are dim x points. The iteration ends when c has converged in
    units of the components. */
-EXPORTED int64_t hamsym_correction(const double *rows, const entry *entries, const double *signs, int64_t count,
-                                   int64_t dim, const double *integral, int64_t points, double half,
-                                   const double *wanted, const double *units, int64_t most, double *found) {
+int iterate_correction(const double *rows, const entry *entries, const double *signs, long count, long dim,
+                       const double *integral, long points, double half, const double *wanted, const double *units,
+                       long most, double enough, double *found) {
   double *rates = malloc((dim + 1) * points * sizeof *rates);
   if (!rates) return 0;
   double *done = rates + dim * points;
@@ -146,10 +152,16 @@ EXPORTED int64_t hamsym_correction(const double *rows, const entry *entries, con
       change = larger(moved / units[i], change);
       size = larger(large / units[i], size);
     }
-    if (!(change < INFINITY) || change <= 1e-14 * size) break;
+    if (!(change < INFINITY) || change <= enough * size) break;
   }
   free(rates);
   return 1;
+}
+
+EXPORTED int64_t hamsym_correction(const double *rows, const entry *entries, const double *signs, int64_t count,
+                                   int64_t dim, const double *integral, int64_t points, double half,
+                                   const double *wanted, const double *units, int64_t most, double *found) {
+  return iterate_correction(rows, entries, signs, count, dim, integral, points, half, wanted, units, most, 1e-14, found);
 }
 
 #define HALF (4 * UNIT) /* of the half length, whose low part is left out */
@@ -200,21 +212,6 @@ static double length_in(const double *vector, long n, long stride, const double 
   }
   return up(sqrt(up(total)));
 }
-
-/* Of a step of the lemma. */
-typedef struct {
-  int64_t dim, columns, terms, count;
-  const double *jacobian, *jacobian_radius; /* models of the entries of DG by their place, over the tube */
-  const int64_t *jacobian_length;
-  const entry *entries;
-  const double *signs;
-  const double *start; /* bounds on |xi|, columns */
-  const double *hull;  /* bounds on |V xi| over the window, dim */
-  const double *V;     /* coefficients, dim x columns x terms */
-  const double *D;     /* bounds on |D|, dim */
-  double half;         /* an upper bound on w */
-  const double *units; /* any numbers > 0: roundings of their ratios are among those of the products */
-} lemma;
 
 /* Bounds on the defect of V, on V(-1) - I and on |B V|, dim x columns each. */
 static int defects_of_flow(const lemma *s, const double *loosely, double *defect, double *start_error, double *loose) {

@@ -16,4 +16,41 @@
 /* An entry (i, j) of a matrix, in a row of numbers. */
 typedef struct { int64_t i, j, place; } entry;
 
+/* A step of the lemma. */
+typedef struct {
+  int64_t dim, columns, terms, count;
+  const double *jacobian, *jacobian_radius; /* models of the entries of DG by their place, over the tube */
+  const int64_t *jacobian_length;
+  const entry *entries;
+  const double *signs;
+  const double *start; /* bounds on |xi|, columns */
+  const double *hull;  /* bounds on |V xi| over the window, dim */
+  const double *V;     /* coefficients, dim x columns x terms */
+  const double *D;     /* bounds on |D|, dim */
+  double half;         /* an upper bound on w */
+  const double *units; /* any numbers > 0: roundings of their ratios are among those of the products */
+} lemma;
+
+void run_values(const series_step *program, long steps, double *rows, long n);
+int64_t hamsym_collocate(const series_step *program, int64_t steps, const int64_t *results, double *rows,
+                         int64_t points, const double *integral, const double *start, int64_t dim, double half,
+                         int64_t most);
+/* The iterations for V and for corrections of y end when they change by less than `enough`. */
+int iterate_tangents(const double *rows, const entry *entries, const double *signs, long count, long dim, long columns,
+                     const double *integral, long points, double half, const double *units, long most, double enough,
+                     double *found);
+int iterate_correction(const double *rows, const entry *entries, const double *signs, long count, long dim,
+                       const double *integral, long points, double half, const double *wanted, const double *units,
+                       long most, double enough, double *found);
+void hamsym_defects(const series_step *program, int64_t steps, const int64_t *results, const series_rows *rows,
+                    int64_t dim, const ball *half, double *found, double *sizes);
+int64_t hamsym_lemma(const lemma *s, double *tube, double *d, double *derivative, double *norm);
+void hamsym_balance(const double *matrix, int64_t dim, double *units);
+int64_t hamsym_moved_set(const double *J, const double *J_error, const double *C, const double *r0, int64_t n,
+                         int64_t k, int64_t columns, int64_t kinds, double *found, double *rest);
+void hamsym_dense(const double *weights, const double *bias, int64_t outputs, int64_t inputs, const series_rows *f,
+                  const series_rows *out);
+int64_t hamsym_boxed_set(const double *G, const double *R, const double *units, int64_t n, int64_t count,
+                         int64_t kinds, double *P, double *found);
+
 #endif

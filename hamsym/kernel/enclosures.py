@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -55,10 +56,10 @@ _SIGNATURES = {
     "vector_value": "v pppiip",
     "dense": "v ppiiss",
     "clenshaw": "v ppiipps",
-    "exact_products": "v ppiiippp",
     "add_products": "v pppnnnii",
     "product": "v ppiiip",
     "balance": "v pip",
+    "follow": "i siipp",
 }
 
 
@@ -100,6 +101,112 @@ class _Lemma(Record):
         *numbers("half"),
         *arrays("units"),
     ]
+
+
+class Prepared(Record):
+    """A program with its models and with values at points, shape (registers, points).
+
+    - registers: ``step`` and ``still_step``, rows (operation, target, first, second);
+      ``constant``, ``place`` and ``result``, registers of numbers, of what is still, of results;
+      and the ``number`` of each constant, a ball.
+    - values_of: Of the terms of models at the points, shape (terms, points).
+    """
+
+    _fields_ = [
+        *counts("steps still constants places points"),
+        *arrays("step still_step constant place result number rows values_of values"),
+    ]
+
+    def __init__(
+        self, models: Models, values_of: np.ndarray, values: np.ndarray, **registers: np.ndarray
+    ) -> None:
+        for name, array in registers.items():
+            _pointer(array, "p" if name == "number" else "n")
+        sizes = [len(registers[name]) for name in ("step", "still_step", "constant", "place")]
+        names = ("steps", "still", "constants", "places")
+        super().__init__(
+            **dict(zip(names, sizes, strict=True)),
+            points=_points(values),
+            **registers,
+            rows=models,
+            values_of=values_of,
+            values=values,
+        )
+
+
+class MarchProof(Record):
+    """A march and the state of its proof, which the library changes.
+
+    - entries, placed: Rows (i, j, place) with results and with registers; ``signs`` beside them.
+    - integral, fewer_integral: At the points of y and at those of V.
+    - fewer: From values at the points of y to those at the points of V.
+    - features: Models of the features on a window, and readouts, shape (windows, dim, features).
+    - states, edges: Of the windows, shapes (windows + 1, dim) and (windows + 1,).
+    - most: Columns of the set.
+    """
+
+    _fields_ = [
+        *counts("dim entries inner most"),
+        *arrays("rates jacobian energy entry placed signs integral fewer_integral fewer"),
+        *arrays("features trial"),
+        *arrays("readouts states edges"),
+        *numbers("origin"),
+        *arrays("sizes couplings centre centre_low G R"),
+        *counts("columns"),
+    ]
+
+    def __init__(
+        self,
+        programs: Sequence[Prepared],
+        entries: np.ndarray,
+        placed: np.ndarray,
+        signs: np.ndarray,
+        integral: np.ndarray,
+        fewer_integral: np.ndarray,
+        fewer: np.ndarray,
+        features: Models,
+        readouts: np.ndarray,
+        states: np.ndarray,
+        edges: np.ndarray,
+        origin: float,
+        most: int,
+    ) -> None:
+        windows, dim, inner = readouts.shape
+        _require(states.shape == (windows + 1, dim) and edges.shape == (windows + 1,))
+        for array, kind in ((readouts, "p"), (states, "p"), (edges, "p"), (entries, "n")):
+            _pointer(array, kind)
+        rates, jacobian, energy = programs
+        (high, low), length = np.zeros((2, dim, features.terms)), np.ones(dim, dtype=np.int64)
+        tables = features["values"], features["series"]
+        trial = Models(*tables, high, low, np.zeros(dim), length)
+        super().__init__(
+            dim=dim,
+            entries=len(entries),
+            inner=inner,
+            most=most,
+            rates=rates,
+            jacobian=jacobian,
+            energy=energy,
+            entry=entries,
+            placed=placed,
+            signs=signs,
+            integral=integral,
+            fewer_integral=fewer_integral,
+            fewer=fewer,
+            features=features,
+            trial=trial,
+            readouts=readouts,
+            states=states,
+            edges=edges,
+            origin=origin,
+            sizes=np.zeros(dim),
+            couplings=np.zeros((dim, dim)),
+            centre=states[0].copy(),
+            centre_low=np.zeros(dim),
+            G=np.zeros((dim, most)),
+            R=np.zeros(most),
+            columns=0,
+        )
 
 
 class Enclosures:
@@ -355,6 +462,16 @@ class Enclosures:
         self._call("product", left, right, rows, len(right), columns, out)
         return out
 
+    def follow(
+        self, proof: MarchProof, first: int, last: int, apart: np.ndarray, radius: np.ndarray
+    ) -> int:
+        """Prove windows of a march up to the last one; return how many were proven.
+
+        - apart: Coefficients of z^ - y, shape (windows, dim, terms), and ``radius`` bounds on the
+          rest of the error, shape (windows, dim), which are written.
+        """
+        return int(self._call("follow", ctypes.byref(proof), first, last, apart, radius))
+
     def balance(self, matrix: np.ndarray, units: np.ndarray) -> None:
         """Improve the units of components, in which a matrix of couplings is nearly balanced."""
         _require(matrix.shape == (len(units), len(units)))
@@ -421,17 +538,6 @@ class Enclosures:
         given = _reals(ch), _reals(cl), *ch.shape, _reals(a), _reals(b)
         self._call("clenshaw", *given, ctypes.byref(out))
         return found
-
-    def exact_products(
-        self, series: np.ndarray, readout: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Compute series @ readout in twice float64; bound the sum of errors of each column."""
-        (rows, inner), columns = series.shape, readout.shape[1]
-        _require(len(readout) == inner)
-        (high, low), error = np.empty((2, rows, columns)), np.empty(columns)
-        given = _reals(series), _reals(readout), rows, inner, columns
-        self._call("exact_products", *given, high, low, error)
-        return high, low, error
 
     def add_products(
         self,

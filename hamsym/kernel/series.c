@@ -15,6 +15,12 @@ void apply_table(const double *table, const double *vector, long count, long n, 
       for (int c = 0; c < 4; c++) sums[c] += spread(vector[j]) * load(table + j * n + k + 4 * c);
     for (int c = 0; c < 4; c++) store(out + k + 4 * c, sums[c]);
   }
+  for (; k + 8 <= n; k += 8) {
+    v4 sums[2] = {{0.0}, {0.0}};
+    for (long j = 0; j < count; j++)
+      for (int c = 0; c < 2; c++) sums[c] += spread(vector[j]) * load(table + j * n + k + 4 * c);
+    for (int c = 0; c < 2; c++) store(out + k + 4 * c, sums[c]);
+  }
   for (; k < n; k++) {
     double sum = 0.0;
     for (long j = 0; j < count; j++) sum += vector[j] * table[j * n + k];

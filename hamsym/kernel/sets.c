@@ -1,11 +1,10 @@
 /* Sets {G r} with |r| <= R between windows, and values of series. Matrices have their rows one after the other. */
 
-#include "series.h"
+#include "enclosures.h"
 #include <stdlib.h>
 
 #define PER_ENTRY 2                    /* roundings of an entry beside one for each product */
 #define PER_LAYER (8 * UNIT * UNIT)    /* of a low part, for each pair of inputs */
-#define PER_READOUT (2 * UNIT * UNIT)  /* the same of exact factors */
 #define MORE 8                         /* inputs that stand for what is done once */
 
 /* a b, n x k and k x m, and a bound on its rounding errors, entry by entry. */
@@ -277,26 +276,6 @@ EXPORTED void hamsym_clenshaw(const double *ch, const double *cl, int64_t count,
     out->length[i] = used;
     out->radius[i] = up(total);
   }
-}
-
-/* series @ readout, rows x inner and inner x columns, in twice float64, and bounds on the error of each column's sum. */
-EXPORTED void hamsym_exact_products(const double *series, const double *readout, int64_t rows, int64_t inner,
-                                    int64_t columns, double *high, double *low, double *error) {
-  memset(error, 0, columns * sizeof *error);
-  for (long row = 0; row < rows; row++)
-    for (long i = 0; i < columns; i++) {
-      double h = 0.0, m = 0.0, size = 0.0;
-      for (long j = 0; j < inner; j++) {
-        pair p = two_product(series[row * inner + j], readout[j * columns + i]), sum = two_sum(h, p.high);
-        h = sum.high;
-        m += sum.low + p.low;
-        size += fabs(p.high);
-      }
-      pair sum = two_sum(h, m);
-      high[row * columns + i] = sum.high, low[row * columns + i] = sum.low;
-      error[i] += (inner + MORE) * (inner + MORE) * PER_READOUT * size;
-    }
-  for (long i = 0; i < columns; i++) error[i] = up(error[i]);
 }
 
 /* Add products of coefficients of Taylor models, terms x cells, to their places. */

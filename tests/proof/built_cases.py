@@ -309,21 +309,6 @@ def layers(L: Any) -> Misses:
     return missed
 
 
-def readouts(L: Any) -> Misses:
-    """A sum of products in two floats, rounded in the same sense."""
-    missed = []
-    for n in (1, 2, 64, 400):
-        series = _losing(n)[None] * (1 + 2.0**-27)
-        readout = np.full((n, 1), 1 + 2.0**-26 + 2.0**-52)
-        high, low, error = L.exact_products(series, readout)
-        exact = sum(
-            (Fraction(v) * Fraction(readout[0, 0]) for v in series[0].tolist()), Fraction(0)
-        )
-        if not abs(exact - Fraction(high[0, 0]) - Fraction(low[0, 0])) <= Fraction(error[0]):
-            missed.append((n, error))
-    return missed
-
-
 _SECOND = UNIT * UNIT
 CASES: dict[str, Case] = {
     "MIDDLE, sums": Case(32 * _SECOND, 0.11 * 32 * _SECOND, middles("add")),
@@ -355,7 +340,6 @@ CASES: dict[str, Case] = {
     "CIRCLES": Case(64.0, -114.0, circles),
     "PER_ENTRY": Case(2.0, -1.0, entries),
     "PER_LAYER": Case(8 * _SECOND, 0.016 * _SECOND, layers),
-    "PER_READOUT": Case(2 * _SECOND, 0.007 * _SECOND, readouts),
 }
 #: Constants that no argument shows, or that are no bounds, and why.
 PROVEN = {
@@ -364,10 +348,15 @@ PROVEN = {
     "SLOPE": "three roundings before OUTWARD",
     "HALF": "one rounding before SECOND_ORDER",
     "PER_PRODUCT": "PER_SUM counts a first sum of each product, which is exact",
-    "MORE": "inputs of a sum: PER_LAYER and PER_READOUT are for any number of them",
+    "MORE": "inputs of a sum: PER_LAYER is for any number of them",
     "REST_EXPONENTIAL": "times 0.002^13 it is below 1e-44; roundings of the sum are 1e-31",
     "REST_SINE": "roundings of the sum are above 1e-31",
     "REST_ERROR_FUNCTION": "the term at which a series ends, whose size is the bound",
+    "TUBES": "attempts",
+    "SWEEPS": "of guesses",
+    "ENOUGH": "of guesses",
+    "AROUND": "with APART, the roundings of a half length before SECOND_ORDER",
+    "APART": "with AROUND, and of a difference before SECOND_ORDER",
     "MOST_TERMS": "room for coefficients",
     "MOST": "room for coefficients",
 }

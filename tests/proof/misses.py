@@ -778,25 +778,6 @@ def clenshaw_misses(L: Any, count: int, seed: int) -> list[Any]:
     return missed
 
 
-def product_misses(L: Any, count: int, seed: int) -> list[Any]:
-    """exact_products: bounds below the sums of errors of a column."""
-    rng, missed = np.random.default_rng(seed), []
-    for _ in range(count):
-        rows, inner, columns = (int(v) for v in rng.integers(1, 12, 3))
-        series = rng.normal(size=(rows, inner)) * 10.0 ** rng.uniform(-8, 8, (rows, inner))
-        readout = rng.normal(size=(inner, columns))
-        high, low, error = L.exact_products(series, readout)
-        for i in range(columns):
-            column = [Fraction(v) for v in readout[:, i].tolist()]
-            exact = _times(series, column)
-            if not distance(fractions(high[:, i], low[:, i]), exact) <= Fraction(error[i]):
-                missed.append((series, readout, error[i]))
-    return missed
-
-
-# -- enclosures ------------------------------------------------------------------------------------
-
-
 def enclosure_misses(
     L: Any, enclosure: Any, times: Sequence[float], states: Sequence[Sequence[arb]]
 ) -> list[Any]:

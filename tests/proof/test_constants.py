@@ -22,7 +22,16 @@ from hamsym.proof.arithmetic import directed
 from tests.proof.built_cases import CASES, PROVEN
 
 #: Sources whose constants are bounds, and a constant there.
-SOURCES = ("balls.h", "series.h", "enclosures.h", "balls.c", "series.c", "enclosures.c", "sets.c")
+SOURCES = (
+    "balls.h",
+    "series.h",
+    "enclosures.h",
+    "balls.c",
+    "series.c",
+    "enclosures.c",
+    "sets.c",
+    "followed.c",
+)
 DEFINITION = re.compile(r"^#define ([A-Z_]+) (.+?)(?: +/\*.*)?$", re.MULTILINE)
 VARIED = {name.partition(",")[0] for name in CASES}
 

@@ -67,7 +67,16 @@ Changes = tuple[tuple[str, str], ...]
 
 _COMPILER = build_backend._compiler()
 #: Files with bounds; that of the elementary functions, which has none, is compiled once.
-_PARTS = ("balls.h", "series.h", "enclosures.h", "balls.c", "series.c", "enclosures.c", "sets.c")
+_PARTS = (
+    "balls.h",
+    "series.h",
+    "enclosures.h",
+    "balls.c",
+    "series.c",
+    "enclosures.c",
+    "sets.c",
+    "followed.c",
+)
 
 if _COMPILER is None:
     pytest.skip("needs a C compiler", allow_module_level=True)

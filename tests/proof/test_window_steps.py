@@ -11,7 +11,6 @@ from tests.proof.misses import (
     Transport,
     clenshaw_misses,
     dense_misses,
-    product_misses,
     set_misses,
     transport_bounds,
     transport_misses,
@@ -200,10 +199,6 @@ def test_dense_layers_contain_the_exact_sums(L):
 
 def test_series_of_lines_contain_the_exact_values(L):
     assert clenshaw_misses(L, 25, seed=1) == []
-
-
-def test_products_of_matrices_contain_the_exact_sums(L):
-    assert product_misses(L, 60, seed=1) == []
 
 
 def test_arrays_of_another_type_or_shape_are_refused(L):

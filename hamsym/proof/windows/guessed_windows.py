@@ -248,7 +248,7 @@ class WindowGuess:
         # its shares in the unit are errors of the others, too. Errors of windows give none: they
         # are small in units of the component, which would be theirs.
         sizes = np.where(sizes < radii, _BESIDE * radii, sizes)
-        safe = np.maximum(_sizes_of_all(sizes, matrix, w), least)
+        safe = np.maximum(sizes_of_all(sizes, matrix, w), least)
         safe = coupled_sizes(safe, matrix, w)
         matrix += 1e-3 / w * safe[:, None] / safe[None, :] * (1 - np.eye(dim))
         units = safe.copy()
@@ -281,7 +281,7 @@ def shortened(factor: float) -> float:
     return math.ldexp(round(mantissa * 2**16), exponent - 16)
 
 
-def _sizes_of_all(sizes: np.ndarray, couplings: np.ndarray, w: float) -> np.ndarray:
+def sizes_of_all(sizes: np.ndarray, couplings: np.ndarray, w: float) -> np.ndarray:
     """Sizes of all components, positive also for those that are at rest.
 
     Such a component has the size that the others drive it to, or else that which would move

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
@@ -14,7 +14,7 @@ from hamsym.proof.arithmetic.directed import UNIT
 from hamsym.proof.arithmetic.taylor_models import space_of
 from hamsym.proof.boxes.wide_sets import SetWindow
 from hamsym.proof.public_check import ROOM, require_same
-from hamsym.proof.windows.trial_models import trial_pieces
+from hamsym.proof.windows.trial_models import feature_models, trial_pieces
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.solution.solution import Solution
 
@@ -30,29 +30,45 @@ def check_solution(solution: Solution) -> None:
     ------
     CertificationError
     """
-    begin, end = (Fraction(float(value)) for value in solution.span)
+    begin, end = map(float, solution.span)
     direction = 1 if end > begin else -1
-    pieces = trial_pieces(solution.trial, solution.span)
-    total = abs(end - begin)
-    times = _times(pieces, begin, total, direction)
-    rounding = _rounding_of_features if isinstance(solution.trial, FeatureTrial) else _of_networks
-    unit = float(np.finfo(solution.trial.dtype).eps) / 2
     # Times are counted from the origin of a march, or from the start of a network.
-    origin = float(getattr(solution.trial, "origin", begin))
-    longest = max(abs(float(time) - origin) for time in solution.span)
+    trial: Any = solution.trial
+    features = isinstance(trial, FeatureTrial)
+    origin = float(trial.origin) if features else begin
+    pieces = [] if features else trial_pieces(trial, solution.span)
+    edges = (
+        direction * trial.edges
+        if features
+        else np.array([float(pieces[0].start), *(float(piece.end) for piece in pieces)])
+    )
+    times = _times(edges[:-1], edges[1:], origin, (begin, end))
+    unit = float(np.finfo(trial.dtype).eps) / 2
+    elapsed = direction * (times - origin)
+    near = 4 * unit * np.maximum(np.abs(times), abs(begin))
+    last = np.searchsorted(edges[:-1], elapsed + near, side="right") - 1
+    both = np.stack([np.maximum(last - 1, 0), last])
+    rows, numbers = np.nonzero(elapsed - near <= edges[both + 1])
+    windows = both[rows, numbers]
     found = np.full((2, len(times), solution.H.dim), np.nan)
-    allowed = np.zeros_like(found)
-    for n, t in enumerate(times.tolist()):
-        elapsed = direction * (Fraction(t) - begin)
-        near = Fraction(4 * unit * max(abs(t), abs(float(begin))))
-        beside = [k for k, p in enumerate(pieces) if p.start - near <= elapsed <= p.end + near]
-        for m, k in enumerate(beside[:2]):
-            states, rates = pieces[k].models(elapsed, Fraction(0), _TERMS)
+    allowed, rates = np.zeros_like(found), np.zeros_like(found)
+    place = rows, numbers
+    if features:
+        length = np.diff(edges)[windows]
+        shares = (elapsed[numbers] - edges[windows]) / length
+        found[place], allowed[place], slopes = _of_features(trial, windows, shares)
+        rates[place] = slopes / length[:, None]
+    else:
+        for m, n, k in zip(*map(np.ndarray.tolist, (rows, numbers, windows)), strict=True):
+            t = float(times[n])
+            at = direction * (Fraction(t) - Fraction(begin))
+            states, slope = pieces[k].models(at, Fraction(0), _TERMS)
             found[m, n] = states.high[:, 0] + states.low[:, 0]
-            moved = 16 * unit * (abs(t - origin) + longest)
             allowed[m, n] = np.abs(states.high[:, 1:]).sum(axis=1) + states.radius
-            allowed[m, n] += moved * np.abs(rates.high).sum(axis=1)
-            allowed[m, n] += ROOM * unit * rounding(solution.trial, k, t)
+            allowed[m, n] += ROOM * unit * _rounding_of_network(trial, k, t)
+            rates[m, n] = np.abs(slope.high).sum(axis=1)
+    longest = max(abs(begin - origin), abs(end - origin))
+    allowed += (16 * unit * (np.abs(times - origin) + longest))[:, None] * rates
     require_same("solution", solution.H.names, solution(times), found, allowed, _at(times))
 
 
@@ -60,31 +76,47 @@ def _at(times: np.ndarray) -> Callable[[int], str]:
     return lambda n: f"t = {float(times[n])!r}"
 
 
-def _times(pieces: Sequence[Any], begin: Fraction, total: Fraction, direction: int) -> np.ndarray:
-    """Times in pieces that are spread over the span, at their ends, and at random."""
-    random = np.random.default_rng(len(pieces))
-    chosen = np.unique(np.linspace(0, len(pieces) - 1, _WINDOWS).astype(int)).tolist()
+def _times(
+    starts: np.ndarray, ends: np.ndarray, origin: float, span: tuple[float, float]
+) -> np.ndarray:
+    """Times in windows that are spread over the span, at their ends, and at random.
+
+    - starts, ends: Elapsed times from the origin.
+    """
+    random = np.random.default_rng(len(starts))
+    chosen = np.unique(np.linspace(0, len(starts) - 1, _WINDOWS).astype(int))
     each = max(_PLACES, 3 * _WINDOWS // len(chosen))
-    found = []
-    for k in chosen:
-        low, high = max(pieces[k].start, Fraction(0)), min(pieces[k].end, total)
-        shares = [0.0, 1.0, *random.random(each).tolist()]
-        found += [begin + direction * (low + Fraction(share) * (high - low)) for share in shares]
-    low, high = sorted((float(begin), float(begin + direction * total)))
-    return np.unique(np.clip(np.array([float(time) for time in found]), low, high))
+    shares = np.hstack([np.tile([0.0, 1.0], (len(chosen), 1)), random.random((len(chosen), each))])
+    found = starts[chosen, None] + shares * (ends - starts)[chosen, None]
+    found[:, 1] = ends[chosen]
+    direction = 1 if span[1] > span[0] else -1
+    return np.unique(np.clip(origin + direction * found.ravel(), min(span), max(span)))
 
 
-def _rounding_of_features(trial: Any, number: int, t: float) -> np.ndarray:
-    """Roundings of z_a + f(s) sum_l T_l sum_m S_lm C_m, in units of u; t is accounted for."""
-    readouts = np.abs(trial.readouts[number])
-    degrees = np.arange(len(trial.series))
-    weights = degrees**2 + len(trial.series) + len(readouts) + 8.0
-    return np.asarray(
-        np.abs(trial.states[number]) + (weights @ np.abs(trial.series)) @ readouts, dtype=float
+def _of_features(
+    trial: FeatureTrial, windows: np.ndarray, shares: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Values of the models of z^ at shares of windows, their errors, and their rates by s.
+
+    Errors have the roundings of z_a + f(s) sum_l T_l sum_m S_lm C_m, and those of the values here.
+    """
+    found, slopes = feature_models(trial.series)
+    table = chebyshev_values(2 * shares - 1, found.high.shape[1])
+    readouts, states = trial.readouts[windows], trial.states[windows]
+    values, rates = (
+        np.einsum("pl,pli->pi", table @ (part.high + part.low).T, readouts)
+        for part in (found, slopes)
     )
+    sizes, unit = np.abs(readouts), float(np.finfo(trial.dtype).eps) / 2
+    errors = np.abs(states) + np.abs(states + values)
+    for series in (np.abs(trial.series), np.abs(found.high.T)):
+        weights = np.arange(len(series)) ** 2 + len(series) + sizes.shape[1] + 8.0
+        errors += np.einsum("l,pli->pi", weights @ series, sizes)
+    radii = np.einsum("l,pli->pi", found.radius, sizes)
+    return states + values, radii + ROOM * unit * errors, np.abs(rates)
 
 
-def _of_networks(trial: Any, number: int, t: float) -> np.ndarray:
+def _rounding_of_network(trial: Any, number: int, t: float) -> np.ndarray:
     """Roundings of z_0 + f(s) N(s), in units of u: through a layer errors grow by |W| at most."""
     network = trial.pieces[number] if hasattr(trial, "pieces") else trial
     s = abs((t - network.t0) / network.tau)
@@ -115,7 +147,8 @@ def check_enclosure(enclosure: Any) -> None:
     """
     begin, end = (Fraction(value) for value in enclosure.span)
     direction = 1 if end > begin else -1
-    times = _times(enclosure.windows, begin, abs(end - begin), direction)
+    ends = np.array([0.0, *(float(window.end) for window in enclosure.windows)])
+    times = _times(ends[:-1], ends[1:], float(begin), enclosure.span)
     if isinstance(enclosure.windows[0], SetWindow):
         _check_set(enclosure, times, begin, direction)
         return

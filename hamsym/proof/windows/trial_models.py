@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cache
+from functools import cache, cached_property, lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -23,6 +23,8 @@ from hamsym.proof.arithmetic.balls import number_of
 from hamsym.proof.arithmetic.directed import up
 from hamsym.proof.arithmetic.programs import ModelRows, Program, Recorder, Rows
 from hamsym.random_features.trial import FeatureTrial
+
+_TERMS = 64  # of models of features
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,14 +79,37 @@ def zero_components(trial: Any) -> set[int]:
 
 
 def _feature_pieces(trial: FeatureTrial, begin: Fraction, direction: int) -> list[Piece]:
-    origin = Fraction(float(trial.origin))
-    edges = [direction * (origin + Fraction(edge) - begin) for edge in trial.edges.tolist()]
-    dim = trial.states.shape[1]
-    program = _enveloped(dim, "exponential")
+    first = direction * (Fraction(float(trial.origin)) - begin)
+    edges = [first + Fraction(direction * edge) for edge in trial.edges.tolist()]
     return [
-        Piece(low, high, _FeatureWindow(trial, k, low, high - low, program).models)
+        Piece(low, high, _FeatureWindow(trial, k, low, high - low).models)
         for k, (low, high) in enumerate(pairwise(edges))
     ]
+
+
+def feature_models(series: np.ndarray) -> tuple[Rows, Rows]:
+    """Models of f N_l and of its derivative by s over a window, for each column N_l of a series."""
+    return _models_of(series.tobytes(), series.shape[1])
+
+
+@lru_cache(maxsize=8)
+def _models_of(series: bytes, count: int) -> tuple[Rows, Rows]:
+    program = _enveloped(count, "exponential")
+    rows = ModelRows(program, _TERMS)
+    for j, column in enumerate(np.frombuffer(series).reshape(-1, count).T):
+        terms, none = len(column), np.zeros(len(column))
+        slopes, rest = np.zeros(terms), np.zeros(terms)
+        error = enclosures().differentiate_series((column, none), (slopes, rest), twice=True)
+        value, slope = count + j, 2 * count + j
+        rows.high[value, :terms], rows.length[value] = column, terms
+        # dN/ds = 2 dN/dx
+        rows.high[slope, :terms], rows.low[slope, :terms] = 2 * slopes, 2 * rest
+        rows.radius[slope], rows.length[slope] = up(2 * error), terms
+    rows.set_line(3 * count, (0.5, 0.0, 0.0), (0.5, 0.0, 0.0))
+    rows.set_number(3 * count + 1, (1.0, 0.0, 0.0))
+    rows.run(double=True)
+    found = rows.taken(program.results)
+    return found[:count], found[count:]
 
 
 def _enveloped(dim: int, envelope: str) -> Program:
@@ -104,42 +129,45 @@ def _enveloped(dim: int, envelope: str) -> Program:
 class _FeatureWindow:
     """z_a + f(s) N(s) on one window."""
 
-    def __init__(
-        self, trial: FeatureTrial, number: int, start: Fraction, length: Fraction, program: Program
-    ) -> None:
-        self._start, self._length, self._program = start, length, program
-        self._state = trial.states[number]
-        high, low, self._error = enclosures().exact_products(trial.series, trial.readouts[number])
-        slopes, slopes_low = np.zeros_like(high), np.zeros_like(low)
-        self._slope_error = np.zeros(len(self._state))
-        for i in range(len(self._state)):
-            column, rest = np.zeros(len(high)), np.zeros(len(high))
-            error = enclosures().differentiate_series(
-                (high[:, i], low[:, i]), (column, rest), twice=True
+    def __init__(self, trial: FeatureTrial, number: int, start: Fraction, length: Fraction) -> None:
+        self._trial, self._number = trial, number
+        self._start, self._length = start, length
+
+    @cached_property
+    def _whole(self) -> Rows:
+        """Models over the window of z^ and of its derivative by s."""
+        state, readout = self._trial.states[self._number], self._trial.readouts[self._number]
+        parts = [
+            enclosures().dense(readout.T, shift, part.high, part.low, part.radius, part.length)
+            for shift, part in zip(
+                (state, np.zeros_like(state)), feature_models(self._trial.series), strict=True
             )
-            # dN/ds = 2 dN/dx; Markov's inequality for the error of the coefficients
-            slopes[:, i], slopes_low[:, i] = 2 * column, 2 * rest
-            self._slope_error[i] = 2 * (error + len(high) ** 2 * self._error[i])
-        self._both = np.hstack([high, slopes]), np.hstack([low, slopes_low])
+        ]
+        return Rows(*map(np.concatenate, zip(*parts, strict=True)))
 
     def models(self, start: Fraction, half: Fraction, terms: int) -> tuple[Rows, Rows]:
-        dim = len(self._state)
-        share = half / self._length
-        middle = (start + half - self._start) / self._length  # of s
-        rows = ModelRows(self._program, terms)
-        high, low, error, length = enclosures().clenshaw(
-            *self._both, number_of(2 * middle - 1), number_of(2 * share), terms
-        )
-        rows.high[:dim, 0] = self._state
-        rows.high[dim : 3 * dim], rows.low[dim : 3 * dim] = high, low
-        rows.radius[dim : 2 * dim] = up(error[:dim] + self._error)
-        rows.radius[2 * dim : 3 * dim] = up(error[dim:] + self._slope_error)
-        rows.length[dim : 3 * dim] = length
-        rows.set_line(3 * dim, number_of(middle), number_of(share))
-        rows.set_number(3 * dim + 1, number_of(1 / self._length))
+        dim, found = self._trial.states.shape[1], self._whole
+        if 2 * half != self._length or terms != _TERMS:
+            middle = (start + half - self._start) / self._length  # of s
+            share = number_of(2 * half / self._length)
+            columns = np.ascontiguousarray(found.high.T), np.ascontiguousarray(found.low.T)
+            high, low, error, length = enclosures().clenshaw(
+                *columns, number_of(2 * middle - 1), share, terms
+            )
+            found = Rows(high, low, up(error + found.radius), length)
+        rows = ModelRows(_paced(dim), terms)
+        rows.set_models(0, found[dim:])
+        rows.set_number(dim, number_of(1 / self._length))
         rows.run(double=True)
-        found = rows.taken(self._program.results)
-        return found[:dim], found[dim:]
+        return found[:dim], rows.taken(rows.program.results)
+
+
+@cache
+def _paced(dim: int) -> Program:
+    """Products of values and the last of the variables."""
+    recorder = Recorder(dim + 1)
+    *values, pace = recorder.variables
+    return Program(recorder, [value * pace for value in values])
 
 
 # -- networks ----------------------------------------------------------------------------------

@@ -210,6 +210,8 @@ class WindowLemma:
         """The window of these bounds; the centre and the set become those at its end.
 
         - units: Of the components and the constants, any numbers > 0.
+
+        Raise TooLongError if the set at the end is not finite.
         """
         units = powers_of_two(units)
         dim, columns = self.equation.dim, self.equation.columns
@@ -219,8 +221,11 @@ class WindowLemma:
         J, J_error, extra = np.eye(columns), np.zeros((columns, columns)), np.zeros(columns)
         J[:dim], rest, radius = enclosures().end_values(V, None, 1)
         J_error[:dim] = up(np.abs(rest) + radius)
-        self.centre, self.centre_low, radius = enclosures().end_values(high, low, 1)
+        *centre, radius = enclosures().end_values(high, low, 1)
         extra[:dim] = up(beside + radius)
+        moved = self.set.moved(J, J_error, extra[:, None], units)
+        if not np.isfinite(moved.R).all():
+            raise TooLongError(0.6, "the set of solutions became too wide")
         window = Window(
             start=elapsed,
             half=self.place.half,
@@ -236,7 +241,5 @@ class WindowLemma:
             tube=found.tube,
             units=units,
         )
-        self.set = self.set.moved(J, J_error, extra[:, None], units)
-        if not np.isfinite(self.set.R).all():
-            raise CertificationError("the enclosure became infinite; use an earlier end time")
+        self.set, (self.centre, self.centre_low) = moved, centre
         return window

@@ -27,6 +27,7 @@ from hamsym.proof.arithmetic.programs import BITS, ModelRows, Rows
 from hamsym.proof.limits import Deadline, TimeLimitError
 from hamsym.proof.windows.certificate import FLOOR, Certificate
 from hamsym.proof.windows.equation import Equation, equation_of
+from hamsym.proof.windows.followed_march import MOST_COMPONENTS, follow
 from hamsym.proof.windows.proven_windows import WindowStepper
 from hamsym.proof.windows.trial_models import Piece, trial_pieces, zero_components
 from hamsym.proof.windows.window_sets import Window, set_sizes
@@ -40,6 +41,7 @@ _OF_NETWORKS = (2.0**-70, 32, 64)  # which vary in a window of the motion
 _FLOOR_WITHOUT_SOLUTION = 2.0**-70  # floor of quantities that do not involve the exact solution
 _WITHIN = 1 - 1e-6  # of a bound that is asked for: certificates round theirs up to nine digits
 _MOST_SAMPLES = 16_384  # of a window
+_OF_MARCHES = 128  # samples of windows that are those of a march
 _FINE = 0.02  # rtol that every verification tries
 
 
@@ -78,6 +80,12 @@ class WindowBounds:
             found.append(max(self.pieces[first : last + 1]))
         return found
 
+    def decides(self, asked: Sequence[float]) -> bool:
+        """Whether the errors are as small as asked, or one of them is larger."""
+        allowed = np.asarray(asked)
+        within = (self.uppers[1:-2] <= allowed * _WITHIN).all()
+        return bool(within or (self.lowers[1:-2] > allowed).any())
+
     def close(self, rtol: float) -> np.ndarray:
         """Whether each upper bound is as close to the lower one as required, shape (dim + 3,)."""
         allowed = np.maximum(self.lowers * (1 + rtol), self.lowers + self.floors)
@@ -111,6 +119,8 @@ class WindowProof:
         Raise CertificationError if there are none.
         """
         samples = _samples(rtol if asked is None else 1.0)
+        if asked is not None and (quick := self._followed()) and quick.decides(asked):
+            return quick
         failure: CertificationError | None = None
         partial: WindowBounds | None = None
         for accuracy, terms, fewest in self._attempts:
@@ -123,8 +133,7 @@ class WindowProof:
                 failure = error
                 continue
             if asked is not None:
-                limits, lowers = np.asarray(asked) * _WITHIN, found.lowers[1:-2]
-                if (found.uppers[1:-2] <= limits).all() or (lowers > asked).any():
+                if found.decides(asked):
                     return found
             else:
                 close = found.close(rtol * (1 - 1e-4))
@@ -162,6 +171,10 @@ class WindowProof:
         claimed = np.array([at_most(value) for value in claims.piece_bounds])
         errors = [f"the error of {name}" for name in claims.components]
         names = ["the norm", *errors, "the energy", "ell_max", "the pieces"]
+        if claims.asked is not None and (quick := self._followed()):
+            pieces = np.array(quick.bounds_between(claims.edges))
+            if ((quick.uppers <= high) & (quick.lowers >= low)).all() and (pieces <= claimed).all():
+                return
         first_failure = ""
         whole = bool(np.isfinite(high[-2:]).any() or low[-2:].any())
         first = _samples(claims.rtol if claims.asked is None else 1.0)
@@ -177,6 +190,39 @@ class WindowProof:
             first_failure = first_failure or names[proven.index(False)]
         raise CertificationError(
             f"the certificate does not hold: its claim about {first_failure} is not proven"
+        )
+
+    def _followed(self) -> WindowBounds | None:
+        """Bounds by windows that are those of a march, if there are."""
+        trial, dim = self._solution.trial, self._equation.dim
+        if not isinstance(trial, FeatureTrial) or dim > MOST_COMPONENTS:
+            return None
+        edges = [self._pieces[0].start, *(piece.end for piece in self._pieces)]
+        count = bisect_left(edges, self._total)
+        if edges[0] != 0:
+            return None
+        uppers, lowers, norms = np.zeros(dim + 3), np.zeros(dim + 3), []
+        for part in follow(self._equation, trial, count):
+            time = float(self._begin + self._direction * edges[part.end])
+            self._deadline.check(f"the solution was enclosed, at t = {time:.6g}")
+            upper, lower = norm_and_parts(part.apart, part.radius, _OF_MARCHES)
+            upper[:, self._exact] = lower[:, self._exact] = 0.0
+            if not (np.isfinite(upper).all() and len(upper)):
+                return None
+            if part.end == count and edges[count] != self._total:
+                lower[-1] = 0.0  # its largest error may be behind the span
+            uppers[: dim + 1] = np.maximum(uppers[: dim + 1], upper.max(axis=0))
+            lowers[: dim + 1] = np.maximum(lowers[: dim + 1], lower.max(axis=0))
+            norms += upper[:, 0].tolist()
+            if self._progress:
+                self._progress(part.end / count)
+        if len(norms) < count:
+            return None
+        uppers[-2:] = np.inf
+        ends = *edges[:count], self._total
+        floors = np.full(dim + 3, SMALLEST)
+        return WindowBounds(
+            uppers, lowers, floors, self._begin, self._direction, ends, tuple(norms)
         )
 
     def _found(
@@ -349,28 +395,32 @@ class _Comparison:
 def norm_and_parts(
     series: np.ndarray, radius: np.ndarray, samples: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds on the 2-norm and on the size of each of several models, shape (1 + n,).
+    """Bounds on the 2-norm and on the size of each of n models, shapes (..., n, terms), (..., n).
 
-    TINY covers underflow, also of squares that vanish in the unit of the largest number: they
-    change a norm by less than 10^-150 units, and one of the three norms is a unit.
+    Both have the shape (..., 1 + n). TINY covers underflow, also of squares that vanish in the unit
+    of the largest number: they change a norm by less than 10^-150 units, and one of the three norms
+    is a unit.
     """
     table = _sample_table(samples)
+    terms = series.shape[-1]
     with np.errstate(all="ignore"):
-        values = series @ table[: series.shape[1]]
-        sums = up(np.abs(series).sum(axis=1))
-        rounding = sums * (series.shape[1] + 4) * 2 * UNIT + TINY
-        largest = np.abs(values).max(axis=1)
-        unit = max(float(largest.max()), float(rounding.max()), float(radius.max()))
-        squares, beside, whole = (
-            unit * math.sqrt(float(((part / unit) ** 2).sum(axis=0).max()))
-            for part in (values, rounding, radius)
+        values = series @ table[:terms]
+        sums = up(np.abs(series).sum(axis=-1))
+        rounding = sums * (terms + 4) * 2 * UNIT + TINY
+        largest = np.abs(values).max(axis=-1)
+        unit = np.max([largest, rounding, radius], axis=(0, -1))[..., None]
+        squares = (
+            unit * np.sqrt(((values / unit[..., None]) ** 2).sum(axis=-2).max(axis=-1))[..., None]
         )
-        degree = series.shape[1] - 1
-        parts = np.minimum((largest + rounding) * _factor(degree, samples), sums)
-        norm = (squares + beside) * math.sqrt(_factor(2 * degree, samples))
-    uppers = up(np.concatenate([[norm + whole], parts + radius]))
-    sizes = down(np.concatenate([[squares], largest]))
-    errors = up(np.concatenate([[beside + whole], rounding + radius]))
+        beside, whole = (
+            unit * np.sqrt(((part / unit) ** 2).sum(axis=-1))[..., None]
+            for part in (rounding, radius)
+        )
+        parts = np.minimum((largest + rounding) * _factor(terms - 1, samples), sums)
+        norm = (squares + beside) * math.sqrt(_factor(2 * (terms - 1), samples))
+    uppers = up(np.concatenate([norm + whole, parts + radius], axis=-1))
+    sizes = down(np.concatenate([squares, largest], axis=-1))
+    errors = up(np.concatenate([beside + whole, rounding + radius], axis=-1))
     return uppers, np.maximum(down(sizes - errors), 0.0)
 
 
