@@ -213,44 +213,60 @@ static double length_in(const double *vector, long n, long stride, const double 
   return up(sqrt(up(total)));
 }
 
+/* Add factor terms of one series of `columns` to sums of `terms`, and the roundings to errors. */
+INLINE void add_scaled(double factor, const double *restrict series, long terms, long columns, double *restrict sums,
+                       double *restrict errors) {
+  for (long k = 0; k < terms; k++)
+    for (long c = 0; c < columns; c++) {
+      double p = factor * series[k * columns + c], sum = sums[k * columns + c] + p;
+      sums[k * columns + c] = sum;
+      errors[c] += UNIT * (fabs(p) + fabs(sum));
+    }
+}
+
 /* Bounds on the defect of V, on V(-1) - I and on |B V|, dim x columns each. */
 static int defects_of_flow(const lemma *s, const double *loosely, double *defect, double *start_error, double *loose) {
-  long dim = s->dim, columns = s->columns, terms = s->terms, width = 2 * terms + 1;
-  double *memory = calloc(dim * columns * (width + 2), sizeof *memory), *sums = memory;
+  long dim = s->dim, columns = s->columns, terms = s->terms, width = 2 * terms + 1, each = terms * columns;
+  double *memory = calloc(columns * (dim * (width + 2) + 2 * dim * terms + width), sizeof *memory), *sums = memory;
   if (!memory) return 0;
-  double *errors = sums + dim * columns * width, *sizes = errors + dim * columns;
-  double wide[2 * terms + 2], rest[2 * terms + 2];
+  double *errors = sums + dim * columns * width, *sizes = errors + dim * columns, *product = sizes + dim * columns;
+  double *turned = product + columns * width, *back = turned + dim * each; /* V with rows of a term each, and reversed */
+  double series[2 * terms + 1], wide[2 * terms + 2], rest[2 * terms + 2];
   for (long k = 0; k < dim * columns; k++) sizes[k] = norm_of(s->V + k * terms, 0, terms);
+  for (long i = 0; i < dim; i++)
+    for (long k = 0; k < terms; k++)
+      for (long c = 0; c < columns; c++)
+        turned[i * each + k * columns + c] = back[i * each + (terms - 1 - k) * columns + c] = s->V[i * each + c * terms + k];
   for (long e = 0; e < s->count; e++) {
     long i = s->entries[e].i, j = s->entries[e].j, n = s->jacobian_length[e];
     const double *jacobian = s->jacobian + e * terms;
-    double factor = s->signs[e] * s->half;
-    for (long c = j < dim ? 0 : j; c < (j < dim ? columns : j + 1); c++) {
-      long own = i * columns + c, used = n;
-      const double *terms_of = jacobian;
-      if (j < dim) {
-        double error = multiply_series(jacobian, 0, n, s->V + (j * columns + c) * terms, 0, terms, wide, rest, 0);
-        errors[own] += (1 + GUARD) * s->half * error;
-        loose[own] += loosely[e] * sizes[j * columns + c];
-        used = n + terms - 1;
-        terms_of = wide;
-      } else {
-        loose[own] += loosely[e];
+    double factor = s->signs[e] * s->half, *own = sums + i * columns * width;
+    if (j >= dim) { /* a rate by a constant, which moves its own column alone */
+      for (long k = 0; k < n; k++) {
+        double p = factor * jacobian[k];
+        own[k * columns + j] += p;
+        errors[i * columns + j] += UNIT * (fabs(p) + fabs(own[k * columns + j]));
       }
-      for (long k = 0; k < used; k++) {
-        double p = factor * terms_of[k];
-        sums[own * width + k] += p;
-        errors[own] += UNIT * (fabs(p) + fabs(sums[own * width + k]));
-      }
+      loose[i * columns + j] += loosely[e];
+      continue;
     }
+    double size = multiply_columns(jacobian, n, turned + j * each, back + j * each, terms, columns, product);
+    for (long c = 0; c < columns; c++) {
+      double other = sizes[j * columns + c];
+      errors[i * columns + c] += (1 + GUARD) * s->half * up(UNIT * size * other + HALVING * other);
+      loose[i * columns + c] += loosely[e] * other;
+    }
+    add_scaled(factor, product, n + terms - 1, columns, own, errors + i * columns);
   }
   for (long own = 0; own < dim * columns; own++) {
     const double *V = s->V + own * terms;
+    long c = own % columns;
+    for (long k = 0; k < width; k++) series[k] = sums[(own - c) * width + k * columns + c];
     ball begin = end_value(V, 0, terms, -1);
-    double first = own / columns == own % columns;
+    double first = own / columns == c;
     start_error[own] = up(fabs(begin.high - first) + fabs(begin.low) + begin.radius);
     double error = 2 * errors[own] + begin.radius + fabs(begin.low);
-    error += integrate_series(sums + own * width, 0, width, wide, rest, 0);
+    error += integrate_series(series, 0, width, wide, rest, 0);
     for (long k = 0; k < 2 * terms + 2; k++) {
       double value = (k < terms ? V[k] : 0.0) - wide[k];
       error += UNIT * fabs(value);
@@ -260,7 +276,7 @@ static int defects_of_flow(const lemma *s, const double *loosely, double *defect
       }
       error += fabs(value);
     }
-    defect[own] = up(error);
+    defect[own] = error < INFINITY ? up(error) : INFINITY;
   }
   free(memory);
   return 1;

@@ -48,6 +48,7 @@ int64_t hamsym_lemma(const lemma *s, double *tube, double *d, double *derivative
 void hamsym_balance(const double *matrix, int64_t dim, double *units);
 int64_t hamsym_moved_set(const double *J, const double *J_error, const double *C, const double *r0, int64_t n,
                          int64_t k, int64_t columns, int64_t kinds, double *found, double *rest);
+void hamsym_product(const double *a, const double *b, int64_t n, int64_t k, int64_t m, double *out);
 void hamsym_dense(const double *weights, const double *bias, int64_t outputs, int64_t inputs, const series_rows *f,
                   const series_rows *out);
 int64_t hamsym_boxed_set(const double *G, const double *R, const double *units, int64_t n, int64_t count,

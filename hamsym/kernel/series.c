@@ -54,35 +54,45 @@ static void reverse(const double *b, long n, double *out) {
   for (long j = 0; j < n; j++) out[j] = b[n - 1 - j];
 }
 
+double multiply_columns(const double *a, long na, const double *b, const double *back, long nb, long columns,
+                        double *out) {
+  double size = 0.0;
+  memset(out, 0, (na + nb - 1) * columns * sizeof *out);
+  for (long i = na - 1; i >= 0; i--) {
+    /* Terms b_j with j <= i go to i - j, the others to j - i. */
+    long n = lesser(i + 1, nb), skipped = nb - n;
+    double x = 0.5 * a[i];
+    size += (PER_PRODUCT + PER_SUM * (i + 1)) * fabs(a[i]);
+    if (x == 0) continue;
+    add_times(x, b, nb * columns, out + i * columns);
+    add_times(x, back + skipped * columns, n * columns, out + (i + 1 - n) * columns);
+    if (skipped > 0) add_times(x, b + n * columns, skipped * columns, out + columns);
+  }
+  return size;
+}
+
 double multiply_series(const double *ah, const double *al, long na, const double *bh, const double *bl, long nb,
                        double *oh, double *ol, int twice) {
   long count = na + nb - 1;
   double size = 0.0, other = 0.0, back[nb], back_low[nb];
-  memset(oh, 0, count * sizeof *oh);
   memset(ol, 0, count * sizeof *ol);
   for (long k = 0; k < nb; k++) other += fabs(bh[k]) + (bl ? fabs(bl[k]) : 0.0);
   reverse(bh, nb, back);
-  if (twice) reverse(bl, nb, back_low);
-  for (long i = na - 1; i >= 0; i--) {
-    /* Terms b_j with j <= i go to i - j, the others to j - i. */
-    long n = lesser(i + 1, nb), skipped = nb - n;
-    double x = 0.5 * ah[i];
-    if (!twice) {
-      size += (PER_PRODUCT + PER_SUM * (i + 1)) * fabs(ah[i]);
-      if (x == 0) continue;
-      add_times(x, bh, nb, oh + i);
-      add_times(x, back + skipped, n, oh + i + 1 - n);
-      if (skipped > 0) add_times(x, bh + n, skipped, oh + 1);
-    } else {
-      double y = 0.5 * al[i];
-      size += (i + 1) * (i + 2) / 2 * (fabs(ah[i]) + fabs(al[i]));
-      if (x == 0 && y == 0) continue;
-      add_product(x, y, bh, bl, nb, oh + i, ol + i);
-      add_product(x, y, back + skipped, back_low + skipped, n, oh + i + 1 - n, ol + i + 1 - n);
-      if (skipped > 0) add_product(x, y, bh + n, bl + n, skipped, oh + 1, ol + 1);
-    }
+  if (!twice) {
+    size = multiply_columns(ah, na, bh, back, nb, 1, oh);
+    return finished(oh, ol, count, UNIT * size * other + HALVING * other);
   }
-  if (!twice) return finished(oh, ol, count, UNIT * size * other + HALVING * other);
+  memset(oh, 0, count * sizeof *oh);
+  reverse(bl, nb, back_low);
+  for (long i = na - 1; i >= 0; i--) {
+    long n = lesser(i + 1, nb), skipped = nb - n;
+    double x = 0.5 * ah[i], y = 0.5 * al[i];
+    size += (i + 1) * (i + 2) / 2 * (fabs(ah[i]) + fabs(al[i]));
+    if (x == 0 && y == 0) continue;
+    add_product(x, y, bh, bl, nb, oh + i, ol + i);
+    add_product(x, y, back + skipped, back_low + skipped, n, oh + i + 1 - n, ol + i + 1 - n);
+    if (skipped > 0) add_product(x, y, bh + n, bl + n, skipped, oh + 1, ol + 1);
+  }
   for (long k = 0; k < count; k++) {
     pair sum = two_sum(oh[k], ol[k]);
     oh[k] = sum.high, ol[k] = sum.low;

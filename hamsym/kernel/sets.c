@@ -25,18 +25,23 @@ static void matrix_product(const double *a, const double *b, long n, long k, lon
 /* J C rounded, n x columns, and bounds on the rest of (J +- J_error) C r with |r| <= r0, n x kinds; J is n x k. */
 static int moved_set(const double *J, const double *J_error, const double *C, const double *r0, long n, long k,
                      long columns, long kinds, double *found, double *rest) {
-  double *error = malloc(n * columns * sizeof *error);
-  if (!error) return 0;
-  matrix_product(J, C, n, k, columns, found, error);
+  double *extent = calloc((k + 1) * kinds, sizeof *extent), *total = extent + k * kinds; /* |C| r0, and sums of r0 */
+  if (!extent) return 0;
+  hamsym_product(J, C, n, k, columns, found);
+  for (long h = 0; h < k; h++)
+    for (long c = 0; c < columns; c++)
+      for (long kind = 0; kind < kinds; kind++) extent[h * kinds + kind] += fabs(C[h * columns + c]) * r0[c * kinds + kind];
+  for (long c = 0; c < columns; c++)
+    for (long kind = 0; kind < kinds; kind++) total[kind] += r0[c * kinds + kind];
   memset(rest, 0, n * kinds * sizeof *rest);
   for (long i = 0; i < n; i++)
-    for (long c = 0; c < columns; c++) {
-      double total = error[i * columns + c];
-      for (long h = 0; h < k; h++) total += J_error[i * k + h] * fabs(C[h * columns + c]);
-      for (long kind = 0; kind < kinds; kind++) rest[i * kinds + kind] += total * r0[c * kinds + kind];
-    }
-  for (long place = 0; place < n * kinds; place++) rest[place] = up(rest[place]);
-  free(error);
+    for (long h = 0; h < k; h++)
+      for (long kind = 0; kind < kinds; kind++)
+        rest[i * kinds + kind] +=
+            ((k + PER_ENTRY) * UNIT * fabs(J[i * k + h]) + J_error[i * k + h]) * extent[h * kinds + kind];
+  /* Products that underflow are below SMALL in an entry. */
+  for (long place = 0; place < n * kinds; place++) rest[place] = up(rest[place] + SMALL * total[place % kinds]);
+  free(extent);
   return 1;
 }
 

@@ -327,7 +327,7 @@ MUTATIONS: dict[str, Mutation] = {
         "large[e] * (s->D[j] + hidden[j])", "large[e] * s->D[j]", step(CASES["defect of V"])
     ),
     "radius of A in the derivative": Mutation(
-        "loose[own] += loosely[e] * sizes[j * columns + c];",
+        "loose[i * columns + c] += loosely[e] * other;",
         ";",
         step(CASES["matrix in a tube"]),
     ),
@@ -335,14 +335,14 @@ MUTATIONS: dict[str, Mutation] = {
         " + loosely[e] * (s->hull[j] + UNDERFLOW_ERROR)", "", step(CASES["matrix in a tube"])
     ),
     "radius of A by a parameter in the derivative": Mutation(
-        "loose[own] += loosely[e];", ";", step(_UNKNOWN)
+        "loose[i * columns + j] += loosely[e];", ";", step(_UNKNOWN)
     ),
     "radius of A by a parameter in the rest": Mutation(
         "reach[i] += loosely[e] * s->start[j]", "(void)0", step(_UNKNOWN)
     ),
     "terms of A by a parameter": Mutation(
-        "sums[own * width + k] += p;",
-        "if (j < dim) sums[own * width + k] += p;",
+        "own[k * columns + j] += p;",
+        ";",
         step(CASES["parameter without its column"]),
     ),
     "growth": Mutation(
@@ -389,10 +389,14 @@ MUTATIONS: dict[str, Mutation] = {
         "up(s->hull[i] + s->D[i] + d[i])", "up(s->D[i] + d[i])", step(CASES["start error"])
     ),
     "error of the map": Mutation(
-        "total += J_error[i * k + h] * fabs(C[h * columns + c])", "(void)0", sets("moved_set")
+        "+ J_error[i * k + h]) * extent[h * kinds + kind]",
+        ") * extent[h * kinds + kind]",
+        sets("moved_set"),
     ),
     "error of the map in a radius": Mutation(
-        "total += J_error[i * k + h] * fabs(C[h * columns + c])", "(void)0", sets("set_radius")
+        "+ J_error[i * k + h]) * extent[h * kinds + kind]",
+        ") * extent[h * kinds + kind]",
+        sets("set_radius"),
     ),
     "extent of a radius": Mutation(
         "total += fabs(product[i * columns + c]) * R[c * kinds + kind]",
