@@ -96,6 +96,8 @@ def test_members_are_those_of_solve(
         np.testing.assert_array_equal(many.largest_error[i], alone.largest_error)
         inside = (t - alone.span[0]) / (alone.span[1] - alone.span[0]) <= 1
         np.testing.assert_array_equal(many(t[inside])[i], alone(t[inside]))
+        edges = alone.trial.edges  # where a window begins, the next one counts
+        np.testing.assert_array_equal(many(edges)[i], alone(edges))
         np.testing.assert_array_equal(many.energy(t[inside])[i], alone.energy(t[inside]))
         assert np.isnan(many(t)[i, ~inside]).all()
 

@@ -162,7 +162,6 @@ def test_times_in_any_order_and_repeated(swing: np.ndarray) -> None:
     np.testing.assert_allclose(found.covariance, sorted_.covariance / 2, rtol=1e-5)
 
 
-@pytest.mark.slow
 def test_sigma_is_estimated_if_it_is_not_given(swing: np.ndarray) -> None:
     data = swing[:, 0] + noise(0.02)
     found, given = fit_pendulum({"theta": data}, sigma=None), fit_pendulum({"theta": data})
@@ -256,7 +255,6 @@ def test_quantities_without_effect_are_named() -> None:
     assert "the data do not depend on y" in found.message
 
 
-@pytest.mark.slow
 def test_estimates_at_a_bound_are_refused(swing: np.ndarray) -> None:
     data = {"theta": swing[:, 0] + noise(0.02)}
     found = fit_pendulum(data, bounds={"g": (0, 1.5)})
@@ -268,7 +266,6 @@ def test_estimates_at_a_bound_are_refused(swing: np.ndarray) -> None:
     assert inside.parameters["g"] == pytest.approx(fit_pendulum(data).parameters["g"], rel=1e-8)
 
 
-@pytest.mark.slow
 def test_models_that_do_not_fit_are_refused(swing: np.ndarray) -> None:
     data = swing[:, 0] + noise(0.02)
     data[::20] += 1.0

@@ -25,6 +25,11 @@ def test_decoupled_zero_keeps_the_size_zero() -> None:
     np.testing.assert_array_equal(coupled_sizes(np.array([1.0, 0, 1, 0]), coupling, 9.0)[1::2], 0)
 
 
+def test_coupling_acts_no_longer_than_the_span() -> None:
+    found = coupled_sizes(np.array([2.0, 0.0]), np.array([[0.0, 1.0], [9.0, 0.0]]), 0.1)
+    np.testing.assert_allclose(found, [2.0, 1.8], rtol=1e-12)
+
+
 def test_coupling_that_is_not_finite_changes_nothing() -> None:
     sizes = np.array([1.0, 2.0])
     np.testing.assert_array_equal(coupled_sizes(sizes, np.full((2, 2), np.nan), 1.0), sizes)

@@ -93,7 +93,6 @@ def test_settings_may_depend_on_the_seed(tmp_path):
         assert (solution(T) == alone(T)).all()
 
 
-@pytest.mark.slow
 def test_rows_and_median_of_solutions(tmp_path):
     found = _sweep(tmp_path, seeds=3)
     rows = found.rows(OSCILLATOR.exact)["Adam"]
