@@ -90,8 +90,8 @@ def main(arguments=None):
             for name, several in methods.items()
             for label, options in zip(names[name], several, strict=True)
         }
-        found = experiment.sweep(settings, problem=problem, span=script.SPAN, prove=False)
-        experiment.add_networks(found, truth=truth)
+        found = experiment.sweep(settings, problem=problem, span=script.SPAN)
+        experiment.add_networks(found, truth=truth, prove=False)
         draw(axis, measured(found, names, truth))
         axis.set_title(title)
     axes[0, 0].set_ylabel("largest error |z^(t) - z(t)|")

@@ -48,10 +48,10 @@ def main(arguments=None):
         200,
         parse(__doc__, arguments),
     )
-    found = experiment.sweep(SETTINGS, prove=False)
-    rows = experiment.add_networks(found)
-    long = experiment.sweep(LONG_SETTINGS, span=oscillator_long.SPAN, prove=False)
-    rows |= experiment.add_networks(long)
+    found = experiment.sweep(SETTINGS)
+    rows = experiment.add_networks(found, prove=False)
+    long = experiment.sweep(LONG_SETTINGS, span=oscillator_long.SPAN)
+    rows |= experiment.add_networks(long, prove=False)
     judge_noise(experiment, rows)
     judge_neurons(experiment, rows)
     judge_sharing(experiment, rows)
@@ -198,7 +198,7 @@ def judge_dimensions(experiment):
     for n in DIMENSIONS:
         problem = hamsym.systems.coupled_oscillators(n)
         options = COSINE | {"tau": 0.25, "epochs": 5_000}
-        found = experiment.sweep({f"chain of {n}": options}, problem=problem, prove=False)
+        found = experiment.sweep({f"chain of {n}": options}, problem=problem)
         solution = found.median(f"chain of {n}", problem.exact)
         comparison = hamsym.compare(solution, "yoshida8", exact=problem.exact)
         errors.append(comparison.rows[0].error)

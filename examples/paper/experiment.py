@@ -73,8 +73,8 @@ class Experiment:
         }
         print(f"\n{title}", flush=True)
 
-    def sweep(self, settings, *, problem=None, span=None, prove=True):
-        """Run all settings with every seed, with certificates if ``prove``."""
+    def sweep(self, settings, *, problem=None, span=None):
+        """Run all settings with every seed."""
         problem = problem or self.problem
         limited = {name: limit(given, self.arguments.epochs) for name, given in settings.items()}
         for name, given in limited.items():
@@ -92,18 +92,18 @@ class Experiment:
             {name: arguments(given) for name, given in limited.items()},
             folder=self.folder / "runs",
             seeds=self.seeds,
-            certify=(self.arguments.certify or None) if prove else None,
             workers=self.arguments.workers,
             progress=True,
         )
 
     # -- tables --------------------------------------------------------------------------------
 
-    def add_networks(self, found, begun=None, truth=None):
+    def add_networks(self, found, begun=None, truth=None, prove=True):
         """Add a row to the table for each of the settings of a sweep, over its seeds.
 
         ``begun`` maps names of settings to their initial solutions, whose cost is added. ``truth``
-        is the reference of another problem than the experiment's.
+        is the reference of another problem than the experiment's. With ``prove`` each solution is
+        certified, within the seconds of ``--certify``.
         """
         rows, all_measured = [], found.rows(truth or self.truth)
         for name, solutions in found.solutions.items():
@@ -111,8 +111,9 @@ class Experiment:
             costs = [Cost.of(solution) for solution in solutions]
             for first, solution in enumerate((begun or {}).get(name, ())):
                 costs[first] += Cost.of(solution)
-            proofs = found.certificates.get(name, ())
-            proven = [proof.bound for proof in proofs if not isinstance(proof, str)]
+            seconds = self.arguments.certify if prove else 0
+            proofs = [bound_or_reason(s, seconds) for s in solutions] if seconds else []
+            proven = [proof for proof in proofs if not isinstance(proof, str)]
             trained = () if self.results["quick"] else solutions  # slow for untrained networks
             estimates = [largest_estimate(solution) for solution in trained]
             rows.append(
@@ -260,6 +261,14 @@ def arguments(settings):
 
 
 # -- numbers -----------------------------------------------------------------------------------
+
+
+def bound_or_reason(solution, seconds):
+    """The proven bound on the error of a solution, or the reason for which there is none."""
+    try:
+        return solution.certify(time_limit=seconds).bound
+    except hamsym.CertificationError as error:
+        return str(error)
 
 
 def largest_estimate(solution):

@@ -48,7 +48,6 @@ def main(arguments=None):
             "authors' code, [0, 6 pi]": AUTHORS | FIRST | noise(HALF),
         },
         span=HALF,
-        prove=False,
     )
 
     def go_on(name, settings):

@@ -121,11 +121,6 @@ def _sweep(sweep: Sweep) -> Facts:
 
 def _settings(sweep: Sweep) -> Table:
     runs = list(sweep.solutions.values())
-    proofs = [sweep.certificates.get(name, ()) for name in sweep.solutions]
-    proven = [
-        f"{sum(not isinstance(proof, str) for proof in own)} of {len(own)}" if own else ""
-        for own in proofs
-    ]
     converged = [f"{sum(bool(each.success) for each in own)} of {len(own)}" for own in runs]
     return Table(
         "settings",
@@ -134,7 +129,6 @@ def _settings(sweep: Sweep) -> Table:
             Column("converged", converged),
             Column("error / size", [max(s.relative_error for s in own) for own in runs],
                    error_text, "relative_error"),
-            Column("proven", proven),
             Column("time s", [sum(s.seconds for s in own) for own in runs], ".2g", "seconds"),
         ),
         "settings",

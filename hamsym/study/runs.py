@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from hamsym.archive import load_solution
-from hamsym.errors import CertificationError, FileError, InputError, KeywordError
+from hamsym.errors import InputError, KeywordError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.problems.description import settings_text
 from hamsym.problems.problem import (
@@ -23,12 +23,10 @@ from hamsym.problems.problem import (
     checked_breakpoints,
     checked_tol,
 )
-from hamsym.proof.windows.certificate import Certificate
 from hamsym.solution.digest import digest
 from hamsym.solution.solution import Solution
 from hamsym.solving.methods import method_of, option_message
 from hamsym.solving.solve import solve
-from hamsym.support.atomic import write_atomically
 from hamsym.support.suggestions import keyword_message
 from hamsym.support.validation import plain
 
@@ -45,7 +43,7 @@ _ARGUMENTS = ("tol", "atol", "breakpoints", "prove", "invariants")
 
 @dataclass(frozen=True)
 class Run:
-    """A picklable description of one run: a solution, and its proof if wanted."""
+    """A picklable description of one run, whose outcome is a solution."""
 
     #: Name of the settings and seed, as shown.
     label: str
@@ -57,65 +55,18 @@ class Run:
     options: Mapping[str, Any]
     #: File of the solution with the initial weights.
     initial: Path | None
-    #: Time limit of the proof, in seconds.
-    certify: float | None
-    #: The run's files without their endings.
-    base: Path
-
-    @property
-    def file(self) -> Path:
-        """File of the solution."""
-        return self._beside(".hamsym")
-
-    @property
-    def _proof(self) -> Path:
-        return self._beside(".certificate")
-
-    @property
-    def _refusal(self) -> Path:
-        return self._beside(f".refused-{self.certify:g}s")
-
-    @property
-    def is_done(self) -> bool:
-        """Whether all files of the run exist."""
-        proof = self.certify is None or self._proof.exists() or self._refusal.exists()
-        return self.file.exists() and proof
+    #: File of the solution.
+    file: Path
 
     def carry_out(self, progress: Callable[[TrainingState], None]) -> None:
-        """Solve and prove, unless the files exist."""
-        if not self.file.exists():
-            self._solve(progress)
-        if not self.is_done:
-            try:
-                proof = load_solution(self.file).certify(time_limit=self.certify, progress=False)
-                write_atomically(self._proof, proof.to_json().encode())
-            except CertificationError as error:
-                write_atomically(self._refusal, str(error).encode())
-
-    def certificate(self, solution: Solution) -> Certificate | str:
-        """Return the certificate of a solution, or the reason for which there is none."""
-        if self._proof.exists():
-            proof = Certificate.from_json(self._proof.read_text(encoding="utf-8", errors="replace"))
-            if proof.digest != digest(solution):
-                raise FileError(
-                    f"'{self._proof}' is the certificate of another solution; remove it"
-                )
-            return proof
-        return self._refusal.read_text(encoding="utf-8", errors="replace")
-
-    def _solve(self, progress: Callable[[TrainingState], None]) -> None:
+        """Solve, and write the file."""
         options: dict[str, Any] = dict(self.options)
         if self.initial is not None:
             options["method"] = replace(options["method"], initial=load_solution(self.initial))
         solution = solve(self.H, self.z0, self.span, seed=self.seed, progress=progress, **options)
         if getattr(solution.record, "stopped", "") == "interrupted":
             raise KeyboardInterrupt
-        for proof in (self._proof, *self.base.parent.glob(f"{self.base.name}.refused-*")):
-            proof.unlink(missing_ok=True)  # of an earlier solution, whose file was removed
         solution.save(self.file)
-
-    def _beside(self, ending: str) -> Path:
-        return self.base.with_name(self.base.name + ending)
 
 
 def arguments_of(given: Any, where: str = "the settings") -> dict[str, Any]:
@@ -143,12 +94,7 @@ def arguments_of(given: Any, where: str = "the settings") -> dict[str, Any]:
 
 
 def planned_run(
-    problem: InitialValueProblem,
-    name: str,
-    given: Any,
-    seed: int,
-    folder: Path,
-    certify: float | None,
+    problem: InitialValueProblem, name: str, given: Any, seed: int, folder: Path
 ) -> Run:
     """Return the run of some settings with a seed, its files named after a digest of them all.
 
@@ -182,6 +128,6 @@ def planned_run(
     }
     text = json.dumps(values, sort_keys=True)
     short = re.sub(r"[^a-z0-9.]+", "-", name.lower()).strip("-")[:60]
-    base = folder / f"{short}-{seed}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
+    file = folder / f"{short}-{seed}-{hashlib.sha256(text.encode()).hexdigest()[:12]}.hamsym"
     label = f"{name}, seed {seed}"
-    return Run(label, problem.H, problem.z0, problem.span, seed, options, path, certify, base)
+    return Run(label, problem.H, problem.z0, problem.span, seed, options, path, file)

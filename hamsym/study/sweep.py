@@ -19,7 +19,6 @@ from hamsym.archive import load_solution
 from hamsym.errors import FileError, InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.problems.problem import InitialValueProblem
-from hamsym.proof.windows.certificate import Certificate
 from hamsym.solution.solution import Solution
 from hamsym.study.compare import Row, measure
 from hamsym.study.processes import carry_out
@@ -30,7 +29,7 @@ from hamsym.support.method_object import Method
 from hamsym.support.shown import Drawn, Shown
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.tables import data_frame
-from hamsym.support.validation import plain, require_positive, require_whole
+from hamsym.support.validation import plain, require_whole
 
 if TYPE_CHECKING:  # an optional package
     import pandas
@@ -56,9 +55,6 @@ class Sweep(Drawn, Shown):
         The span requested; the solution of a march that stopped early has a shorter one.
     solutions : mapping
         Name of the settings -> one :class:`Solution` for each seed.
-    certificates : mapping
-        Name of the settings -> for each seed a :class:`Certificate`, or the reason for which
-        there is none. Empty without ``certify``.
     settings : mapping
         Name of the settings -> values of all options that any settings give, defaults where these
         do not give them, None where their method has no such option. Of a function of the seed
@@ -68,7 +64,6 @@ class Sweep(Drawn, Shown):
     seeds: tuple[int, ...]
     span: tuple[float, float]
     solutions: Mapping[str, tuple[Solution, ...]]
-    certificates: Mapping[str, tuple[Certificate | str, ...]] = field(default_factory=dict)
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict, repr=False)
 
     def __repr__(self) -> str:
@@ -137,8 +132,7 @@ class Sweep(Drawn, Shown):
         """Return a table of pandas with a row for each run.
 
         Columns are ``settings``, the options of :attr:`swept`, ``seed``, ``success``,
-        ``error`` (:attr:`hamsym.Solution.relative_error`), ``seconds``, ``message``, and
-        with certificates ``bound``, nan where there is none.
+        ``error`` (:attr:`hamsym.Solution.relative_error`), ``seconds`` and ``message``.
 
         Raises
         ------
@@ -161,11 +155,6 @@ class Sweep(Drawn, Shown):
             "seconds": [solution.record.seconds for solution in solutions],
             "message": [solution.message for solution in solutions],
         }
-        if self.certificates:
-            proofs = [self.certificates[name][number] for _, name, number in runs]
-            columns["bound"] = [
-                math.nan if isinstance(proof, str) else proof.bound for proof in proofs
-            ]
         return data_frame(columns)
 
     def rows(self, truth: Callable[[np.ndarray], np.ndarray]) -> dict[str, tuple[Row, ...]]:
@@ -206,7 +195,6 @@ def sweep(
     *,
     folder: str | os.PathLike[str],
     seeds: int | Sequence[int] = 3,
-    certify: float | None = None,
     workers: int | None = None,
     progress: bool | None = None,
 ) -> Sweep:
@@ -225,8 +213,6 @@ def sweep(
         out.
     seeds : int or sequence of int
         Number of seeds, counted from 0, or the seeds.
-    certify : float, optional
-        Prove the error of each solution, with this time limit in seconds.
     workers : int, optional
         Number of processes, by default the number of cores; each uses one thread.
         With 1 all runs are carried out in this process.
@@ -265,8 +251,6 @@ def sweep(
         raise InputError("settings or seeds is empty or repeats an entry; give each once")
     if workers is not None:
         require_whole("workers", workers)
-    if certify is not None:
-        require_positive("certify", certify)
     try:
         directory = Path(folder)
         directory.mkdir(parents=True, exist_ok=True)
@@ -275,11 +259,11 @@ def sweep(
         raise FileError(f"'{folder}' cannot be created: {reason}") from None
     problem = InitialValueProblem.checked(H, z0, span)
     runs = [
-        planned_run(problem, name, _of_seed(given, seed), seed, directory, certify)
+        planned_run(problem, name, _of_seed(given, seed), seed, directory)
         for name, given in settings.items()
         for seed in chosen
     ]
-    missing = [run for run in runs if not run.is_done]
+    missing = [run for run in runs if not run.file.exists()]
     if missing:
         with exclusive(directory):
             carry_out(missing, min(workers or available_cores(), len(missing)), progress)
@@ -288,14 +272,7 @@ def sweep(
     solutions = {
         name: tuple(load_solution(run.file) for run in group) for name, group in named.items()
     }
-    certificates = {
-        name: tuple(
-            run.certificate(solution) for run, solution in zip(group, solutions[name], strict=True)
-        )
-        for name, group in named.items()
-        if certify is not None
-    }
-    return Sweep(chosen, problem.span, solutions, certificates, _values(settings, chosen[0]))
+    return Sweep(chosen, problem.span, solutions, _values(settings, chosen[0]))
 
 
 def _values(settings: Mapping[str, Settings], seed: int) -> dict[str, dict[str, Any]]:

@@ -91,7 +91,7 @@ def made() -> dict[str, Any]:
         "Certificate": found.certify(),
         "Proofs": many.certify(bound=1e-6),
         "Comparison": hamsym.compare(found, "gauss4", points=20, max_steps=1_000),
-        "Sweep": hamsym.Sweep((0,), (0.0, 2.0), {"a": (found,)}, {"a": ("no proof",)}),
+        "Sweep": hamsym.Sweep((0,), (0.0, 2.0), {"a": (found,)}),
         "LyapunovExponents": hamsym.lyapunov(H, x0, (0, 20), count=2),
         "LyapunovMap": hamsym.lyapunov(H, [x0, x0], (0, 20)),
         "ChaosIndicators": hamsym.chaos_indicators(H, x0, (0, 20)),

@@ -120,7 +120,7 @@ MADE: dict[str, tuple[Callable[[], Any], list[str]]] = {
         ["was estimated", "gauss4"],
     ),
     "Sweep": (
-        lambda: hamsym.Sweep((0,), (0.0, 5.0), {"a": (solution(),)}, {"a": ("no proof",)}),
+        lambda: hamsym.Sweep((0,), (0.0, 5.0), {"a": (solution(),)}),
         ["1 of 1"],
     ),
     "Certificate": (lambda: solution().certify(), ["proven", "at most", "Here z is the exact"]),
