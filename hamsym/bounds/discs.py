@@ -24,7 +24,9 @@ class DiscTables(Record):
 @functools.lru_cache(maxsize=64)
 def disc_tables(terms: int, decade: int) -> DiscTables:
     """Make the tables for Chebyshev series of so many terms and a tolerance of a power of ten."""
-    rho = _sum_of_axes(_SHARE * 10.0**decade)
+    share = _SHARE * 10.0**decade
+    # The smallest sum of half axes, in hundredths.
+    rho = next(rho for rho in np.arange(1.05, 9.0, 0.01).tolist() if _left_out(rho) <= share)
     middles, radius = _cover(rho)
     series: np.ndarray = np.eye(terms)
     at = chebyshev.chebvander(middles, terms - 1).T  # T_k at the centres
@@ -52,11 +54,6 @@ def decade_of(tolerance: float) -> int:
 def _left_out(rho: float) -> float:
     """What a polynomial through PLACES points leaves out of a function bounded by 1."""
     return float(4 * rho ** (1 - PLACES) / (rho - 1))
-
-
-def _sum_of_axes(share: float) -> float:
-    """Return the smallest sum of half axes, in hundredths, for which that is a share."""
-    return next(rho for rho in np.arange(1.05, 9.0, 0.01).tolist() if _left_out(rho) <= share)
 
 
 def _cover(rho: float) -> tuple[np.ndarray, float]:

@@ -223,7 +223,8 @@ class _Page:
         given = [name if value is None else f"{name}={value!r}" for name, value in names.parameters]
         self.keywords = ", *, " + ", ".join(given) if given else ""
         self.passed = self.time + "".join(f", {name}={name}" for name in self.parameters)
-        self.as_tuple = _tuple(self.parameters)
+        comma = "," if len(self.parameters) == 1 else ""
+        self.as_tuple = f"({', '.join(self.parameters)}{comma})"
 
     @cached_property
     def formula(self) -> str:
@@ -320,10 +321,6 @@ def extract(source: str, part: str) -> str:
 
 def _unknown_function(name: str, known: Iterable[str]) -> InputError:
     return InputError(unknown(name, known, "a function of the module"))
-
-
-def _tuple(items: Sequence[str]) -> str:
-    return f"({', '.join(items)}{',' if len(items) == 1 else ''})"
 
 
 # -- templates -------------------------------------------------------------------------------

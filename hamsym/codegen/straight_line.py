@@ -218,7 +218,8 @@ def straight_line(
     """
     lower = Printer({}).lower
     exact = [lower(without_floats(expression)) for expression in expressions]
-    shared, reduced = sympy.cse(exact, symbols=_shared_symbols(), order="none")
+    symbols = (_Shared(f"shared{count}", real=True) for count in itertools.count())
+    shared, reduced = sympy.cse(exact, symbols=symbols, order="none")
     graph = Graph(names, values or {}, arithmetic)
     for symbol, expression in shared:
         graph.assign(symbol, expression)
@@ -228,10 +229,6 @@ def straight_line(
 
 class _Shared(sympy.Symbol):  # type: ignore[misc]
     """A common subexpression; a class of its own keeps it distinct from every variable."""
-
-
-def _shared_symbols() -> Iterator[sympy.Symbol]:
-    return (_Shared(f"shared{count}", real=True) for count in itertools.count())
 
 
 @dataclass(frozen=True)

@@ -16,17 +16,14 @@ from hamsym.integrators.stepper import Stepper
 from hamsym.integrators.table import INTEGRATORS, usable_method
 from hamsym.numerics.symplectic import poisson_matrix
 from hamsym.problems.problem import checked_span
-from hamsym.support.shown import Drawn
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.validation import require_number
 
 
 @suggest_attributes
 @dataclass(frozen=True)
-class TangentMap(Drawn):
+class TangentMap:
     """The derivative of the flow along a trajectory.
-
-    ``plot()`` draws the multipliers about the unit circle.
 
     Attributes
     ----------

@@ -391,10 +391,11 @@ class _Visitor:
         if name == "sum":
             return self._sum(node)
         if name not in FUNCTIONS:
+            known = ", ".join(sorted((set(FUNCTIONS) | {"sum"}) - set(_SPELLINGS)))
             raise self._error(
                 node.func,
                 f"is not a known function{did_you_mean(name, FUNCTIONS)}",
-                f"write * for products, for example x*(1 + y); known functions: {_function_list()}",
+                f"write * for products, for example x*(1 + y); known functions: {known}",
             )
         if node.keywords:
             token = node.keywords[0].arg or "**"
@@ -453,7 +454,8 @@ class _Visitor:
             if exponent < 0 and _is_zero(base):
                 raise self._error(node.left, "is zero", "use a nonzero divisor")
             # sympy takes numbers out of products, (2*x)**n = 2**n*x**n: all of them count.
-            bits = max((_bits(number) for number in base.atoms(sympy.Rational)), default=0)
+            whole = [part for n in base.atoms(sympy.Rational) for part in (n.p, n.q)]
+            bits = max((abs(number).bit_length() for number in whole), default=0)
             if bits * abs(exponent) > MAX_BITS:
                 raise self._error(node, "is too large a number", "stay below 1e308")
         self._refuse_giant_log(exponent, node)
@@ -521,10 +523,6 @@ class _Visitor:
         return ParseError(symbol, column, problem, remedy)
 
 
-def _bits(number: sympy.Rational) -> int:
-    return max(abs(number.p).bit_length(), number.q.bit_length())
-
-
 def _is_zero(expr: sympy.Expr) -> bool:
     """Return whether a divisor, or its constant factor, is zero."""
     if symbols := expr.free_symbols:
@@ -536,7 +534,3 @@ def _is_zero(expr: sympy.Expr) -> bool:
         return bool(abs(expr.evalf(17, strict=True)) < 1e-100)
     except PrecisionExhausted:
         return True
-
-
-def _function_list() -> str:
-    return ", ".join(sorted((set(FUNCTIONS) | {"sum"}) - set(_SPELLINGS)))

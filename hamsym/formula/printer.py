@@ -18,10 +18,6 @@ _ADD, _MUL, _POW, _ATOM = range(4)  # precedences
 _READABLE = 1_000  # fractions up to here stay fractions in code
 
 
-def _half_step(argument: sympy.Expr, *_: sympy.Expr) -> sympy.Expr:
-    return (1 + sympy.sign(argument)) / 2
-
-
 # Functions that no backend has, in terms of those that all have. The derivative of sign is zero
 # almost everywhere.
 _REWRITES: dict[type, Callable[..., sympy.Expr]] = {
@@ -37,7 +33,7 @@ _REWRITES: dict[type, Callable[..., sympy.Expr]] = {
     sympy.acoth: lambda u: sympy.atanh(1 / u),
     sympy.asech: lambda u: sympy.acosh(1 / u),
     sympy.acsch: lambda u: sympy.asinh(1 / u),
-    sympy.Heaviside: _half_step,
+    sympy.Heaviside: lambda u, *_: (1 + sympy.sign(u)) / 2,
     sympy.DiracDelta: lambda *_: sympy.Integer(0),
 }
 

@@ -151,7 +151,8 @@ class Stepper:
                     self._run(threads, path, 1 + save, part, every)
                     reached += part * every
                     progress(part * every)
-                    if reached < saves * save_every and self._is_lost():
+                    lost = not np.isfinite(self._states).all(axis=1).any()
+                    if reached < saves * save_every and lost:
                         break
             except KeyboardInterrupt:
                 interrupted = True
@@ -170,10 +171,6 @@ class Stepper:
         # The loops count evaluations only where the number depends on iterations.
         steps, counted = done.sum(axis=0)
         return int(counted or steps * self.scheme.stages)
-
-    def _is_lost(self) -> bool:
-        """Whether no trajectory is finite any more."""
-        return not np.isfinite(self._states).all(axis=1).any()
 
     def _run(
         self, threads: Threads | None, out: np.ndarray, offset: int, saves: int, every: int

@@ -140,10 +140,6 @@ def _increasing(
     return apply
 
 
-def _exp(x: Intervals) -> Intervals:
-    return _known(np.exp(x.low), np.exp(x.high))
-
-
 def _root(x: Intervals) -> Intervals:
     return _known(np.sqrt(x.low), np.sqrt(x.high), x.low >= 0)
 
@@ -209,7 +205,7 @@ class RangeArithmetic:
 
     pi, e = Ranges.constant(math.pi), Ranges.constant(math.e)
 
-    exp = staticmethod(_increasing(np.exp, _exp))
+    exp = staticmethod(_increasing(np.exp, lambda x: _known(np.exp(x.low), np.exp(x.high))))
     log = staticmethod(_increasing(np.log, Intervals.reciprocal, 0.0))
     sinh = staticmethod(_increasing(np.sinh, lambda x: _even(x, np.cosh)))
     tanh = staticmethod(_increasing(np.tanh, lambda x: _even(x, np.cosh).square().reciprocal()))

@@ -72,7 +72,7 @@ def _drawn(
         style["label"] = None if style["label"] in seen else style["label"]
         seen.add(style["label"])
     sentences = [_manifold_sentence(part) for part in parts]
-    sentences += [_connection_sentence(one) for one in connecting]
+    sentences += [f"Both parts meet on {one.surface} to {one.mismatch:.1e}" for one in connecting]
     caption = caption_words(H, *sentences)
     projection = "3d" if len(drawn) == 3 else None
     with one_panel(ax, caption, warning, height=7.5, projection=projection) as axes, style_for(ax):
@@ -176,10 +176,6 @@ def _in_space(axes: Any, lines: Sequence[_Line], drawn: Sequence[Observable]) ->
 def _manifold_sentence(part: Manifold) -> str:
     number = "1 trajectory" if len(part) == 1 else f"{len(part)} trajectories"
     return f"{part.kind.capitalize()}: {number}, local error {part.local_error:.1e}"
-
-
-def _connection_sentence(one: Connection) -> str:
-    return f"Both parts meet on {one.surface} to {one.mismatch:.1e}"
 
 
 # -- sections --------------------------------------------------------------------------------------

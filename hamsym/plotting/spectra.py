@@ -8,10 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullLocator
 
-from hamsym.dynamics.monodromy import TangentMap
-from hamsym.plotting.figure import Figure, figure_of, label, one_panel
-from hamsym.plotting.names import number
-from hamsym.plotting.style import GREY, color_of, style_for
+from hamsym.plotting.figure import Figure, figure_of, label
+from hamsym.plotting.style import GREY, color_of
 
 _FAR = 2.5  # from 0: beyond, all multipliers are drawn in an inset
 _BESIDE_CIRCLE = 1.15  # from 0: largest drawn beside the inset
@@ -53,17 +51,6 @@ def draw_multipliers(axes: Axes, values: np.ndarray, title: str) -> None:
     label(axes.yaxis, "Im")
     if far:
         axes.set(xticks=(-1, 0, 1), yticks=(-1, 0, 1))
-
-
-def draw_tangent_map(found: TangentMap, *, ax: Any = None) -> Any:
-    """Draw the multipliers of a tangent map; see :meth:`TangentMap.plot`."""
-    largest = complex(found.multipliers[0])
-    words = [f"{len(found.multipliers)}", "multipliers;", "the", "largest", "has", "the", "size"]
-    caption = [*words, number(abs(largest), 6) + ".", "Start", "and", "end", "differ", "by"]
-    caption.append(number(found.closure, 2) + ".")
-    with one_panel(ax, caption, height=7.5) as axes, style_for(ax):
-        draw_multipliers(axes, found.multipliers, "Multipliers")
-        return figure_of(axes)
 
 
 def draw_exponents_plane(

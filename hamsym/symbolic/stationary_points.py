@@ -109,7 +109,7 @@ def _solved(
             return None
         if not _is_real(solution):
             continue
-        if not all(_vanishes_at(entry, solution) for entry in gradient):
+        if not all(derivatives.vanishes(entry.subs(solution)) for entry in gradient):
             return None
         kept.append(solution)
     return sorted(kept, key=_order)
@@ -125,11 +125,6 @@ def _is_real(solution: Mapping[sympy.Symbol, sympy.Expr]) -> bool:
             if not abs(number.imag) <= _IMAGINARY * (1 + abs(number.real)):
                 return False
     return True
-
-
-def _vanishes_at(entry: sympy.Expr, solution: Solution) -> bool:
-    """Whether an expression is zero at a solution, as far as sympy can tell."""
-    return derivatives.vanishes(entry.subs(solution))
 
 
 def _order(solution: Solution) -> list[tuple[float, str]]:
