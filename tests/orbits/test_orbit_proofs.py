@@ -218,6 +218,28 @@ def test_lyapunov_orbit_is_proven_unstable():
     assert certificate.bound < 1e-11
 
 
+def test_halo_orbit_of_the_earth_and_moon_is_the_published_one():
+    # JPL, three-body periodic orbits: a halo orbit about L1, velocities in the turning frame
+    mu, period, index = 1.215058560962404e-2, 3.1233143922761588, 243.40572681337468
+    x, z, v = -0.41456184803140111, 0.90753120433295065, 1.4076145460136695
+    H = hamsym.Hamiltonian(
+        "(p_x**2 + p_y**2 + p_z**2)/2 + y*p_x - x*p_y - (1 - mu)/sqrt((x + mu)**2 + y**2 + z**2) "
+        "- mu/sqrt((x - 1 + mu)**2 + y**2 + z**2)",
+        parameters={"mu": mu},
+    )
+    start = [x, 0, z, 0, v + x, 0]
+    symmetry = {"y": "-y", "p_x": "-p_x", "p_z": "-p_z"}
+    orbit = hamsym.periodic_orbit(H, (start, period), symmetry=symmetry, tol=1e-12)
+    assert orbit.success
+    assert np.abs(orbit.z0 - start).max() < 2e-12
+    assert abs(orbit.period - period) < 2e-13
+    largest = abs(orbit.multipliers[0])
+    assert (largest + 1 / largest) / 2 == pytest.approx(index, rel=1e-10)
+    certificate = orbit.certify()
+    assert certificate.stability == orbit.stability == "complex unstable"
+    assert certificate.bound < 1e-14
+
+
 @pytest.mark.slow
 def test_limit_cycle_is_proven_to_attract():
     # van der Pol with mu = 1; the period by Andersen & Geer, SIAM J. Appl. Math. 42 (1982)
