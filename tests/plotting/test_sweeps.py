@@ -22,7 +22,7 @@ def sweep_of(settings: dict[str, dict[str, Any]], failed: tuple[str, ...] = ()) 
         name: tuple(solution.judged(name not in failed, "no <b>$ way") for _ in range(2))
         for name in settings
     }
-    return hamsym.Sweep((0, 1), SPAN, found, {}, settings)
+    return hamsym.Sweep((0, 1), SPAN, found, settings)
 
 
 def red(axes: Any) -> np.ndarray:
