@@ -41,7 +41,7 @@ def test_one_swept_option_is_the_axis() -> None:
         assert (axes.get_xlabel(), axes.get_xscale()) == ("tol", "log")
         np.testing.assert_array_equal(axes.lines[0].get_xdata(), [1e-8, 1e-6, 1e-4])
         np.testing.assert_array_equal(red(axes), [1e-8, 1e-8])
-    with pytest.raises(InputError, match="'eror' is not a panel of this figure; did you mean"):
+    with pytest.raises(InputError, match=r"'eror' is not a panel of this figure \(did you mean"):
         sweep.plot("eror")
 
 
