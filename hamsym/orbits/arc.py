@@ -24,6 +24,7 @@ from hamsym.numerics.scales import floored_sizes
 from hamsym.numerics.windows import locate
 from hamsym.orbits.period import Period
 from hamsym.orbits.symmetry import Closing
+from hamsym.random_features.flow import flow_of
 from hamsym.support.record_fields import AnyFloat, floats
 
 _FLOOR = 1e-8  # scale of a component relative to the largest of its kind
@@ -120,3 +121,8 @@ class Problem:
     def conservative(self) -> bool:
         """Whether energy is conserved, so that orbits come in families."""
         return self.H.conserves_energy
+
+
+def vector_field_at(H: Hamiltonian, state: np.ndarray, time: float) -> np.ndarray:
+    """Return the vector field at one state, shape (dim,)."""
+    return np.asarray(flow_of(H).vector_field(state[None], np.array([time]))[0])

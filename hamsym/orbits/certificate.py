@@ -45,9 +45,9 @@ class OrbitCertificate(SealedText):
         Largest distance of the true from the numerical state at the start and at all ends of
         pieces, relative to the size of each component.
     unique_within : float
-        Every other orbit that meets these conditions is farther away at one of these places, or in
-        its period, relative to the same sizes: the planes across the flow and the directions of
-        integrals or the fixed set at the start, the energy or the period, and the symmetry.
+        Distance from the true orbit, in the states at these places and in the period, relative to
+        the same sizes, within which no other orbit meets the same conditions: the planes or the
+        fixed set at the start, the energy or the period, and the symmetry.
     monodromy : Ball
         Contains dz(T)/dz0 of the true orbit over one shift of its symmetry, and back by it; over
         the period without a symmetry. Shape (dim, dim).

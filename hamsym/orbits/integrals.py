@@ -18,8 +18,8 @@ import sympy
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.orbits.arc import Arc, Problem
-from hamsym.orbits.symmetry import Closing, SignedPermutation
+from hamsym.orbits.arc import Arc, Problem, vector_field_at
+from hamsym.orbits.symmetry import Closing, SignedPermutation, moved
 from hamsym.random_features.flow import flow_of
 from hamsym.symbolic import brackets
 from hamsym.symbolic.invariants import find_invariants, suggested_basis
@@ -58,7 +58,7 @@ def shared_integrals(H: Hamiltonian, closing: Closing) -> tuple[Hamiltonian, ...
         maps += [each.after(closing.first) for each in maps]
     found = []
     for integral in integrals_of(H):
-        if integral is H:
+        if integral == H:
             if closing.first is None:
                 found.append(H)
             continue
@@ -69,18 +69,16 @@ def shared_integrals(H: Hamiltonian, closing: Closing) -> tuple[Hamiltonian, ...
     return tuple(found)
 
 
-def moved(integral: Hamiltonian, symmetry: SignedPermutation) -> sympy.Expr:
-    """Return the formula of an integral after a map of the states."""
-    form = integral.real_equations
-    pairs = zip(form.z, symmetry.places, symmetry.signs, strict=True)
-    return form.expr.xreplace({symbol: sign * form.z[i] for symbol, i, sign in pairs})
-
-
 def directions(integrals: Sequence[Hamiltonian], state: np.ndarray) -> np.ndarray:
     """Return J grad I of each integral at a state, shape (n, dim)."""
-    at = state[None], np.zeros(1)
-    fields = [flow_of(each).vector_field(*at)[0] for each in integrals]
+    fields = [vector_field_at(each, state, 0.0) for each in integrals]
     return np.array(fields).reshape(len(integrals), len(state))
+
+
+def gradients_from(fields: np.ndarray) -> np.ndarray:
+    """Return grad I from J grad I, both along the last axis."""
+    half = fields.shape[-1] // 2
+    return np.concatenate([-fields[..., half:], fields[..., :half]], axis=-1)
 
 
 def natural_sizes(
@@ -119,7 +117,7 @@ def slice_of(problem: Problem, arc: Arc) -> Slice:
     kept = _closing_independent(problem, arc)
     rows = directions(kept, state)
     if problem.autonomous and not problem.conservative:
-        rows = flow_of(problem.H).vector_field(state[None], np.array([problem.start]))
+        rows = vector_field_at(problem.H, state, problem.start)[None]
     rows = rows / scale
     if not np.isfinite(rows).all():
         return Slice(state, rows, kept)
@@ -163,7 +161,7 @@ def _independent(
     for k, integral in enumerate(integrals):
         length = np.linalg.norm(left[k])
         closes = np.linalg.norm(gaps[k]) <= _CLOSING * length
-        if not (length > _ROUND_OFF and (closes or integral is H)):
+        if not (length > _ROUND_OFF and (closes or integral == H)):
             continue
         chosen.append(integral)
         unit, gap = left[k] / length, gaps[k] / length
@@ -178,16 +176,15 @@ def neutral(integrals: Sequence[Hamiltonian], H: Hamiltonian) -> list[bool]:
     They vanish along periodic orbits, not everywhere: the bracket of a momentum and an angular
     momentum is a momentum, which is zero where the centre of mass comes back.
     """
-    z = H.real_equations.z
-    exprs = [each.real_equations.expr for each in integrals]
+    z, exprs = H.real_equations.z, [each.real_equations.expr for each in integrals]
+    further = [expr for expr, each in zip(exprs, integrals, strict=True) if each != H]
     return [
-        integral is H
+        each == H
         or all(
             _vanishes_along_orbits(sympy.expand(brackets.poisson_bracket(one, other, z)), H)
-            for other in exprs
-            if other is not H.real_equations.expr
+            for other in further
         )
-        for integral, one in zip(integrals, exprs, strict=True)
+        for each, one in zip(integrals, exprs, strict=True)
     ]
 
 

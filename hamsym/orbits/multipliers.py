@@ -17,7 +17,7 @@ import scipy
 
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.symplectic import poisson_product
-from hamsym.orbits.integrals import directions, integrals_of, natural_sizes
+from hamsym.orbits.integrals import directions, gradients_from, integrals_of, natural_sizes
 from hamsym.orbits.symmetry import SignedPermutation
 
 _PARABOLIC = 1e-5  # distance of a multiplier from 1 or -1 that round-off may cause
@@ -169,5 +169,5 @@ def gradients_of_integrals(
         fields = directions(integrals, moved)
         least = _ROUND_OFF * natural_sizes(integrals, moved, units)
         fields = fields[np.abs(fields / units).max(axis=1) > least]
-        found.append(-poisson_product(fields.T).T @ power.matrix)
+        found.append(gradients_from(fields) @ power.matrix)
     return np.concatenate(found)

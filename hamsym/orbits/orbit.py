@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import numpy as np
@@ -16,10 +17,10 @@ from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.numerics.scales import floored_sizes
 from hamsym.numerics.symplectic import symplectic_inverse
-from hamsym.orbits.arc import Arc, Problem
+from hamsym.orbits.arc import Arc, Problem, vector_field_at
 from hamsym.orbits.multipliers import gradients_of_integrals, has_shear, reduced_map, stability_of
 from hamsym.orbits.period import period_of
-from hamsym.orbits.search import check, first_arc, first_return, refined, vector_field_at
+from hamsym.orbits.search import accurate_arc, check, first_arc, first_return, refined
 from hamsym.orbits.symmetry import closing_of
 from hamsym.random_features.flow import flow_of
 from hamsym.solution.discontinuities import first_jump, has_switches
@@ -351,18 +352,30 @@ def periodic_orbit(
             raise InputError("H is not finite at the guess; give another guess")
     fixed = None if exact is None else exact.value
     problem = Problem(H, closing, energy, fixed, start, exact_period=exact)
-    return solved_orbit(problem, first_arc(problem, state, duration), tol, began)
+    arc = first_arc(problem, state, duration)
+    accurate = partial(accurate_arc, problem, state, duration)
+    return solved_orbit(problem, arc, tol, began, accurate=accurate)
 
 
 def solved_orbit(
-    problem: Problem, arc: Arc, tol: float, began: float | None = None, *, reduce: bool = True
+    problem: Problem,
+    arc: Arc,
+    tol: float,
+    began: float | None = None,
+    *,
+    accurate: Callable[[], Arc] | None = None,
+    reduce: bool = True,
 ) -> PeriodicOrbit:
     """Solve a problem from a first arc, estimate the error, and judge.
 
-    With ``reduce``, an orbit that is run through several times is solved again once.
+    - accurate: A first arc that takes longer, for orbits that are not found from the other one.
+    - reduce: Solve an orbit that is run through several times again once.
     """
     start = time.perf_counter() if began is None else began
     found = refined(problem, arc)
+    if found.failure and accurate is not None:
+        with contextlib.suppress(InputError):
+            found = refined(problem, accurate())
     finer, step, error = check(problem, found.arc)
     if problem.closing.first is not None:  # exactly in its fixed set, for signed zeros too
         finer.ends[0] = (finer.ends[0] + problem.closing.first(finer.ends[0])) / 2 + 0.0

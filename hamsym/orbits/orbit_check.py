@@ -8,8 +8,7 @@ import numpy as np
 
 from hamsym.errors import CertificationError
 from hamsym.numerics.collocation import chebyshev_values, collocation
-from hamsym.orbits.arc import Arc
-from hamsym.orbits.search import vector_field_at
+from hamsym.orbits.arc import Arc, vector_field_at
 from hamsym.proof.public_check import require_same
 
 if TYPE_CHECKING:

@@ -207,8 +207,7 @@ class _Proof:
         # in units of the components, powers of two, which round nothing
         units = [arb(2) ** round(math.log2(size)) for size in system.scale.tolist()]
         places = [vector_of(system.start(k, radii)) for k in range(system.pieces)]
-        if problem.closing.last is not None:
-            places.append(found.end(-1))
+        places.append(found.end(-1))
         maps = [scaled(matrix_of(matrix), units) for matrix in found.maps]
         whole = shift_derivative(problem.closing, maps, units)
         try:

@@ -16,6 +16,7 @@ import numpy as np
 import scipy
 from flint import arb, arb_mat
 
+from hamsym.numerics.symplectic import poisson_matrix
 from hamsym.orbits.arc import Problem
 from hamsym.orbits.integrals import are_permuted, independent_integrals, neutral
 from hamsym.orbits.square_system import gradients
@@ -40,16 +41,14 @@ def shift_derivative(
 
     - maps: Derivatives of the pieces of the arc, in units of the components.
     - units: These.
-    - across: Slopes and fields at the starts of the pieces, and at the end of the last one with
-      reversing symmetries: then the derivative of the directions across the slopes modulo the
-      fields, in a basis of its own. ZeroDivisionError is raised if these may be dependent.
+    - across: Slopes and fields at the starts of the pieces and at the end of the last one: then the
+      derivative of the directions across the slopes modulo the fields, in a basis of its own.
+      ZeroDivisionError is raised if these may be dependent.
     """
-    dim = maps[0].nrows()
     if across is None:
-        places = [(arb_mat(0, dim), arb_mat(dim, 0))] * (len(maps) + 1)
-        return _through(closing, maps, units, places, _Quotient(*places[0], np.eye(dim)))
+        return _whole(closing, maps, units)
     start = _Quotient(*across[0])
-    middle = _middles(_through(closing, maps, units, across, start))
+    middle = _middles(_closed(closing, maps, units, across, start))
     if not np.isfinite(middle).all():
         raise ZeroDivisionError
     # again, in a basis of eigenvectors
@@ -57,29 +56,55 @@ def shift_derivative(
     basis = np.where(values.imag >= 0, vectors.real, vectors.imag)
     if len(basis) and not np.linalg.cond(basis) < _PARALLEL:
         basis = np.eye(len(basis))
-    return _through(closing, maps, units, across, _Quotient(*across[0], start.across @ basis))
+    return _closed(closing, maps, units, across, _Quotient(*across[0], start.across @ basis))
 
 
-def _through(
+def _whole(closing: Closing, maps: Sequence[arb_mat], units: Sequence[arb]) -> arb_mat:
+    """The derivative of all directions, whose inverse is that of a symplectic matrix."""
+    dim = maps[0].nrows()
+    nothing = arb_mat(0, dim), arb_mat(dim, 0)
+    end, through = _through(maps, [nothing] * (len(maps) + 1), _Quotient(*nothing, np.eye(dim)))
+    through = end.within * through
+    if closing.first is None or closing.last is None:
+        return _signed(closing.shift, units).inv() * through
+    J = poisson_matrix(dim // 2).tolist()
+    covariant = arb_mat(
+        [[v * a * b for v, a in zip(r, units, strict=True)] for r, b in zip(J, units, strict=True)]
+    )
+    contravariant = arb_mat(
+        [[v / a / b for v, a in zip(r, units, strict=True)] for r, b in zip(J, units, strict=True)]
+    )
+    inverse = -contravariant * through.transpose() * covariant
+    first, last = (_signed(each, units) for each in (closing.first, closing.last))
+    return first * inverse * last * through
+
+
+def _closed(
     closing: Closing,
     maps: Sequence[arb_mat],
     units: Sequence[arb],
     across: Sequence[_Across],
     start: _Quotient,
 ) -> arb_mat:
+    """The derivative of the directions of a quotient."""
+    end, through = _through(maps, across, start)
+    if closing.first is None or closing.last is None:
+        return start.coordinates(_signed(closing.shift, units).inv() * end.within) * through
+    first = start.coordinates(_signed(closing.first, units) * start.within)
+    last = end.coordinates(_signed(closing.last, units) * end.within)
+    return first * through.solve(last * through)
+
+
+def _through(
+    maps: Sequence[arb_mat], across: Sequence[_Across], start: _Quotient
+) -> tuple[_Quotient, arb_mat]:
+    """The quotient at the end of the arc, and the derivative from that at its start."""
     here, through = start, start.coordinates(start.within)
     for k, matrix in enumerate(maps):
-        if k + 1 == len(maps) and closing.last is None:
-            there, matrix = start, _signed(closing.shift, units).inv() * matrix
-        else:
-            there = here.followed(matrix, *across[k + 1])
+        there = here.followed(matrix, *across[k + 1])
         through = there.coordinates(matrix * here.within) * through
         here = there
-    if closing.first is None or closing.last is None:
-        return through
-    first = start.coordinates(_signed(closing.first, units) * start.within)
-    last = here.coordinates(_signed(closing.last, units) * here.within)
-    return first * through.solve(last * through)
+    return here, through
 
 
 class Directions:

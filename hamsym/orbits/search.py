@@ -15,7 +15,7 @@ from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.collocation import collocation
 from hamsym.numerics.scales import floored_sizes
-from hamsym.orbits.arc import Arc, Problem
+from hamsym.orbits.arc import Arc, Problem, vector_field_at
 from hamsym.orbits.integrals import slice_of
 from hamsym.orbits.newton_system import NewtonSystem, Step
 from hamsym.orbits.symmetry import Closing
@@ -32,8 +32,8 @@ _TAIL = 1e-13  # coefficients that a window leaves out, relative to the componen
 _REFINEMENTS = 12
 _MOST_WINDOWS = 10_000
 _MOST_ENTRIES = 50_000_000  # of the derivatives at the points of all windows
-_FIRST = 1e-13  # tolerance of DOP853 along a guess: unstable orbits magnify errors
-_STEPS_PER_WINDOW = 7  # of DOP853
+_FIRST, _STEPS_PER_WINDOW = 1e-10, 3  # tolerance and steps of DOP853 along a guess
+_ACCURATE = 1e-13  # and where Newton's method fails: unstable orbits magnify errors
 _INSIDE = 2  # corrections inside windows before the search
 _SHOTS = 3  # corrections of the start before the search
 _FAST, _SLOW_START = 1e-3, 1e-2  # change of states for which they are made, and share of the start
@@ -57,11 +57,6 @@ class Found:
     failure: str = ""
 
 
-def vector_field_at(H: Hamiltonian, state: np.ndarray, time: float) -> np.ndarray:
-    """Return the vector field at one state, shape (dim,)."""
-    return np.asarray(flow_of(H).vector_field(state[None], np.array([time]))[0])
-
-
 def _nodes(H: Hamiltonian) -> int:
     """Number of points in a window."""
     return _NODES if H.dim < _MANY else _FEW_NODES
@@ -77,14 +72,43 @@ def first_arc(problem: Problem, state: np.ndarray, period: float) -> Arc:
 
     Raise InputError if the trajectory does not reach the end of the arc.
     """
+    path, edges, period = _first_path(problem, state, period, _FIRST, _STEPS_PER_WINDOW)
+    duration = period / problem.closing.parts
+    points = edges[:-1, None] + np.diff(edges)[:, None] * collocation(_nodes(problem.H)).nodes
+    states = path(problem.start + points.ravel() * duration).T
+    ends = path(problem.start + edges * duration).T
+    return Arc(edges, ends, states.reshape(*points.shape, -1), period)
+
+
+def accurate_arc(problem: Problem, state: np.ndarray, period: float) -> Arc:
+    """Integrate an arc from a guess as accurately as close encounters need.
+
+    Raise InputError if the trajectory does not reach the end of the arc.
+    """
+    _, edges, period = _first_path(problem, state, period, _ACCURATE, 2 * _STEPS_PER_WINDOW)
+    sizes = _sizes(problem.H, state, problem.start)[1]
+    arc = _in_windows(problem, state, edges, period, sizes)
+    # The coefficients that a window leaves out fall with a power of its width.
+    parts = np.ceil(1.2 * (arc.tails() / _TAIL) ** (1 / arc.values.shape[1])).astype(int)
+    if (parts > 1).any():
+        pieces = zip(pairwise(edges.tolist()), np.maximum(parts, 1).tolist(), strict=True)
+        finer = [np.linspace(*ends, count + 1)[:-1] for ends, count in pieces]
+        arc = _in_windows(problem, state, np.append(np.concatenate(finer), 1.0), period, sizes)
+    return _shot(problem, arc, sizes)
+
+
+def _first_path(
+    problem: Problem, state: np.ndarray, period: float, rtol: float, steps: int
+) -> tuple[OdeSolution, np.ndarray, float]:
+    """The trajectory of a guess, windows of so many of its steps, and the period of its return."""
     duration = period / problem.closing.parts
     free = problem.autonomous and problem.period is None
     longest = duration * (1 + _AROUND if free else 1)
     span = (problem.start, problem.start + longest)
     sizes = _sizes(problem.H, state, problem.start)[1]
     windows = _most_windows(problem.H)
-    most = _STEPS_PER_WINDOW * (windows + 1)
-    found, _ = _integrated(_rates(problem.H), span, state, _FIRST, sizes, most)
+    most = steps * (windows + 1)
+    found, _ = _integrated(_rates(problem.H), span, state, rtol, sizes, most)
     reached = found.ts[-1] >= problem.start + duration
     if not reached and len(found.ts) <= most:
         raise InputError(
@@ -99,18 +123,9 @@ def first_arc(problem: Problem, state: np.ndarray, period: float) -> Arc:
     if free and found.ts[-1] == span[1]:
         duration = _nearest_return(found, problem.closing, duration)
         period = duration * problem.closing.parts
-    edges = (found.ts[::_STEPS_PER_WINDOW] - problem.start) / duration
+    edges = (found.ts[::steps] - problem.start) / duration
     edges = np.append(edges[edges < 1 - 1e-9], 1.0)
-    edges = edges if len(edges) > 3 else np.linspace(0, 1, 4)
-    arc = _in_windows(problem, state, edges, period, sizes)
-    tails = arc.tails()
-    if (tails > _TAIL).any():
-        # The coefficients that a window leaves out fall with a power of its width.
-        parts = np.ceil(1.2 * (tails / _TAIL) ** (1 / arc.values.shape[1])).astype(int)
-        pieces = zip(pairwise(edges.tolist()), np.maximum(parts, 1).tolist(), strict=True)
-        finer = [np.linspace(*ends, count + 1)[:-1] for ends, count in pieces]
-        arc = _in_windows(problem, state, np.append(np.concatenate(finer), 1.0), period, sizes)
-    return _shot(problem, _inside_solved(problem, arc), sizes)
+    return found, edges if len(edges) > 3 else np.linspace(0, 1, 4), period
 
 
 def _shot(problem: Problem, arc: Arc, sizes: np.ndarray) -> Arc:
@@ -127,9 +142,7 @@ def _shot(problem: Problem, arc: Arc, sizes: np.ndarray) -> Arc:
                 break
             state, period = arc.ends[0] + before.ends[0], arc.period + before.period
             try:
-                trial = _inside_solved(
-                    problem, _in_windows(problem, state, arc.edges, period, sizes)
-                )
+                trial = _in_windows(problem, state, arc.edges, period, sizes)
             except InputError:
                 break
             after = NewtonSystem(problem, trial, slice_of(problem, trial)).solved()
@@ -142,7 +155,7 @@ def _shot(problem: Problem, arc: Arc, sizes: np.ndarray) -> Arc:
 def _in_windows(
     problem: Problem, state: np.ndarray, edges: np.ndarray, period: float, sizes: np.ndarray
 ) -> Arc:
-    """Integrate an arc window by window.
+    """Integrate an arc window by window, and solve the equations inside each.
 
     The time starts at 0 in each: sums of it are rounded, by more than close encounters allow.
     """
@@ -155,7 +168,7 @@ def _in_windows(
         def moved(t: float, z: np.ndarray, begin: float = begin) -> np.ndarray:
             return rates(begin + t, z)
 
-        path, finished = _integrated(moved, (0.0, length), ends[-1], _FIRST, sizes, _MOST_STEPS)
+        path, finished = _integrated(moved, (0.0, length), ends[-1], _ACCURATE, sizes, _MOST_STEPS)
         if not finished:
             raise InputError(
                 f"the trajectory of the guess ends at t = {begin + path.ts[-1]:.6g}, before its "
@@ -163,7 +176,7 @@ def _in_windows(
             )
         ends.append(path(length))
         values.append(path(length * rule.nodes).T)
-    return Arc(edges, np.array(ends), np.array(values), period)
+    return _inside_solved(problem, Arc(edges, np.array(ends), np.array(values), period))
 
 
 def _inside_solved(problem: Problem, arc: Arc) -> Arc:
@@ -340,7 +353,7 @@ def converged(problem: Problem, arc: Arc) -> Found:
             slow += share < _SLOW
             if slow > _MOST_SLOW:
                 return Found(trial, after, "Newton's method is too slow from this guess")
-            stalled = step.size <= 1e-5 and after.size > 0.3 * step.size
+            stalled = step.size <= 1e-7 and after.size > 0.3 * step.size
             arc, step = trial, after
             if stalled:
                 return Found(arc, step)

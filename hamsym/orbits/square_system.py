@@ -20,9 +20,8 @@ import scipy
 from flint import arb, arb_mat
 
 from hamsym.errors import CertificationError
-from hamsym.numerics.symplectic import poisson_product
 from hamsym.orbits.arc import Arc, Problem
-from hamsym.orbits.integrals import directions, slice_of
+from hamsym.orbits.integrals import directions, gradients_from, slice_of
 from hamsym.orbits.period import exact_period, in_units_of_the_arc
 from hamsym.orbits.symmetry import SignedPermutation
 from hamsym.proof.arithmetic.ball import Ball
@@ -34,7 +33,7 @@ from hamsym.proof.limits import Deadline
 from hamsym.proof.windows.enclose import enclosed
 from hamsym.random_features.flow import flow_of
 
-_WINDOWS = 2  # of the numerical arc in a piece, about
+_WINDOWS, _FEWEST = 2, 8  # of the numerical arc in a piece, about; pieces of a short arc
 _MOST_UNKNOWNS = 4_000
 
 
@@ -66,7 +65,6 @@ class SquareSystem:
     - numerical: States of the arc at the starts of the pieces, shape (pieces, dim).
     - states: Those around which the system is enclosed: corrected ones.
     - units: Of the unknowns, shape (n,).
-    - functions, integrals: H and the integrals in ball arithmetic.
     - calm: Pieces start where the motion is slower than so many times its median.
     """
 
@@ -86,7 +84,8 @@ class SquareSystem:
             self._basis = closing.first.fixed_basis
             self._origin = self._basis.T @ self.states[0] / np.abs(self._basis).sum(axis=0)
         self._first = len(self._origin)
-        self._place(0, self._origin)
+        self._start = self._origin
+        self.states[0] = self._basis @ self._start  # exact: one entry in each row
         planes = slice_of(problem, arc)
         self._normals = planes.normals @ self._basis
         moves = problem.autonomous and closing.first is None
@@ -99,9 +98,9 @@ class SquareSystem:
         if not self.middle_period > 0:
             raise CertificationError("the period of the orbit is not positive")
         self._numerical_period = self.middle_period
-        self.functions = GeneratedFunctions(problem.H, BALLS)
-        self.integrals = [
-            self.functions if each is problem.H else GeneratedFunctions(each, BALLS)
+        self._functions = GeneratedFunctions(problem.H, BALLS)
+        self._integrals = [
+            self._functions if each == problem.H else GeneratedFunctions(each, BALLS)
             for each in planes.integrals
         ]
         # of a pair of components that move together the smaller one, for both
@@ -111,23 +110,18 @@ class SquareSystem:
         # closing conditions, those that the integrals imply apart
         conditions = np.eye(self._dim) if closing.last is None else closing.last.conditions
         place = self.states[0] if closing.last is None else arc.ends[-1]
-        slopes = _gradients(directions(planes.integrals, place)) * self.scale @ conditions.T
+        slopes = gradients_from(directions(planes.integrals, place)) * self.scale @ conditions.T
         slopes /= np.maximum(np.abs(slopes).max(axis=1, keepdims=True), TINY)
         order = scipy.linalg.qr(slopes, mode="economic", pivoting=True)[2]
         implied = np.isin(np.arange(len(conditions)), order[: len(slopes)])
         self._conditions, self._left_out = conditions[~implied], conditions[implied]
 
-    def _place(self, k: int, unknowns: np.ndarray) -> None:
-        """Set the start of a piece."""
-        self.states[k] = self._basis @ unknowns if k == 0 else unknowns
-        if k == 0:  # exact: one entry in each row
-            self._start = unknowns
-
     def correct(self, correction: np.ndarray) -> None:
         """Add a correction to the unknowns around which the system is enclosed."""
-        self._place(0, self._start + correction[self._columns(0)])
+        self._start = self._start + correction[: self._first]
+        self.states[0] = self._basis @ self._start
         for k in range(1, self.pieces):
-            self._place(k, self.states[k] + correction[self._columns(k)])
+            self.states[k] += correction[self._columns(k)]
         if self._free:
             self.middle_period += float(correction[-1])
 
@@ -173,10 +167,6 @@ class SquareSystem:
         first = self._first + (k - 1) * self._dim
         return slice(first, first + self._dim) if k else slice(self._first)
 
-    def gradients(self, states: list[arb]) -> arb_mat:
-        """Gradients of the integrals over a ball of states."""
-        return gradients(self.integrals, states)
-
     # -- the system ------------------------------------------------------------------------------
 
     def values(self, found: Enclosed) -> list[arb]:
@@ -194,7 +184,7 @@ class SquareSystem:
         for normal in self._normals.tolist():  # planes through the numerical start
             rows.append(sum((arb(c) * v for c, v in zip(normal, apart, strict=True)), arb(0)))
         if self._has_energy:
-            energy = self.functions("energy", starts[0], arb(0))
+            energy = self._functions("energy", starts[0], arb(0))
             rows.append(energy - arb(self._problem.energy))
         return rows
 
@@ -218,7 +208,7 @@ class SquareSystem:
         rows.append(_Rows(len(self._normals), count))
         rows[-1].add(self._columns(0), self._normals)
         if self._has_energy:
-            slope = gradients([self.functions], vector_of(self.start(0, radii))).entries()
+            slope = gradients([self._functions], vector_of(self.start(0, radii))).entries()
             middle, radius = (np.array([part]) for part in float_balls(slope))
             rows.append(_Rows(1, count))
             rows[-1].add(self._columns(0), middle, radius, self._basis)
@@ -235,7 +225,7 @@ class SquareSystem:
         The mean gradient of the integrals between the two states, times the components of their
         difference that were left out, is zero.
         """
-        if not self.integrals:
+        if not self._integrals:
             return
         closing, end = self._problem.closing, found.end(-1)
         other = turned_by(closing.last or closing.shift, end)
@@ -243,7 +233,7 @@ class SquareSystem:
             other = turned_by(closing.shift, vector_of(self.start(0, radii)))
         between = [a.union(b) for a, b in zip(end, other, strict=True)]
         try:
-            (self.gradients(between) * arb_mat(self._left_out.T.tolist())).inv()
+            (gradients(self._integrals, between) * arb_mat(self._left_out.T.tolist())).inv()
         except ZeroDivisionError:
             raise CertificationError(
                 "the gradients of the integrals of H where the orbit closes may be dependent"
@@ -254,7 +244,7 @@ class SquareSystem:
         if self._free and not radii[-1] < self.middle_period:
             raise CertificationError("the period of the orbit may be zero")
         if self._problem.autonomous:
-            field = self.functions("vector_field", vector_of(self.start(0, radii)), arb(0))
+            field = self._functions("vector_field", vector_of(self.start(0, radii)), arb(0))
             if all(not value.is_finite() or value.contains(0) for value in field):
                 raise CertificationError("the orbit may be an equilibrium")
 
@@ -268,7 +258,8 @@ def _chosen_edges(problem: Problem, arc: Arc, calm: float) -> np.ndarray:
     rates = flow_of(problem.H).jacobian(arc.ends, times) * arc.scale / arc.scale[:, None]
     sizes = np.linalg.norm(rates, axis=(1, 2))
     slow = np.flatnonzero(sizes <= calm * np.median(sizes))
-    count = min(math.ceil(len(slow) / _WINDOWS), _MOST_UNKNOWNS // arc.ends.shape[1])
+    count = max(math.ceil(len(slow) / _WINDOWS), _FEWEST)
+    count = min(count, _MOST_UNKNOWNS // arc.ends.shape[1])
     inner = slow[np.linspace(0, len(slow) - 1, count + 1).astype(int)] if len(slow) else []
     return np.unique([0, *inner, len(arc.edges) - 1])
 
@@ -321,11 +312,6 @@ def gradients(integrals: list[GeneratedFunctions], states: list[arb]) -> arb_mat
 def turned_by(symmetry: SignedPermutation, states: list[arb]) -> list[arb]:
     """Return states after a symmetry."""
     return [sign * states[i] for i, sign in zip(symmetry.places, symmetry.signs, strict=True)]
-
-
-def _gradients(fields: np.ndarray) -> np.ndarray:
-    """grad I from J grad I, in rows."""
-    return -poisson_product(fields.T).T
 
 
 def _products(rows: np.ndarray, vector: list[arb]) -> list[arb]:

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import sympy
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
@@ -207,9 +208,13 @@ def _symmetry(H: Hamiltonian, given: Any) -> SignedPermutation:
     return found
 
 
+def moved(H: Hamiltonian, symmetry: SignedPermutation) -> sympy.Expr:
+    """Return the formula of H after a map of the states, in real symbols."""
+    form = H.real_equations
+    pairs = zip(form.z, symmetry.places, symmetry.signs, strict=True)
+    return form.expr.xreplace({symbol: sign * form.z[i] for symbol, i, sign in pairs})
+
+
 def is_unchanged(H: Hamiltonian, symmetry: SignedPermutation) -> bool:
     """Whether H is shown to be the same after a map of its states."""
-    real = H.real_equations
-    pairs = zip(real.z, symmetry.places, symmetry.signs, strict=True)
-    moved = real.expr.xreplace({symbol: sign * real.z[i] for symbol, i, sign in pairs})
-    return derivatives.vanishes(moved - real.expr)
+    return derivatives.vanishes(moved(H, symmetry) - H.real_equations.expr)

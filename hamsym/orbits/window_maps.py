@@ -15,6 +15,7 @@ import numpy as np
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.collocation import collocation
 from hamsym.orbits.arc import Arc, Problem
+from hamsym.orbits.integrals import gradients_from
 from hamsym.random_features.flow import flow_of
 from hamsym.solution.parameters import ParameterForcing
 
@@ -57,7 +58,6 @@ class WindowMaps:
         rates = flow.vector_field(states, times).reshape(windows, nodes, dim)
         jacobians = flow.jacobian(states, times).reshape(windows, nodes, dim, dim)
         jacobians = jacobians * lengths[..., None]
-        half = dim // 2
         forcing = np.zeros((windows, nodes, dim, self.ends.shape[-1] - dim))
         forcing[..., 0] = rates * share
         if problem.parameter is not None:
@@ -65,10 +65,9 @@ class WindowMaps:
             forcing[..., 1] = found.reshape(windows, nodes, dim) * lengths
         for k, integral in enumerate(self._integrals):
             field = rates
-            if integral is not problem.H:
+            if integral != problem.H:
                 field = flow_of(integral).vector_field(states, times).reshape(rates.shape)
-            slopes = np.concatenate([-field[..., half:], field[..., :half]], axis=-1)  # grad I
-            forcing[..., 2 + k] = slopes * lengths
+            forcing[..., 2 + k] = gradients_from(field) * lengths
         inside, last = rule.integration[:-1], rule.integration[-1]
         residual, gaps = self._residuals(block, states, times)
         columns = np.zeros((windows, nodes, dim, self.ends.shape[-1]))

@@ -5,6 +5,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import hamsym
+from hamsym.orbits.search import accurate_arc, first_arc
+from hamsym.orbits.window_maps import WindowMaps
 
 
 def three_bodies(axes):
@@ -103,6 +105,18 @@ def test_stable_orbit_in_space_is_proven_elliptic(stable):
     assert certificate.stability == "elliptic"
     assert certificate.bound < 1e-12
     assert abs(certificate.period.mid - STABLE[1]) < 1e-12
+
+
+@pytest.mark.slow
+def test_accurate_guess_has_no_kicks_at_the_ends_of_windows():
+    guess, period = published("moth I")
+    found = hamsym.periodic_orbit(PLANAR, (guess, period))
+    kicks = {}
+    for make in (first_arc, accurate_arc):
+        arc = make(found.problem, np.array(guess), period)
+        maps = WindowMaps(found.problem, arc, ())
+        kicks[make] = np.abs(maps.ends[..., -1] / arc.scale).max()
+    assert kicks[accurate_arc] < 1e-12 < 100 * kicks[first_arc]
 
 
 @pytest.mark.slow

@@ -372,9 +372,13 @@ class Enclosure(Drawn, Saved):
         )
 
     def end_states(self) -> tuple[Ball, np.ndarray]:
-        """Enclose the state at the end as a ball plus numbers below its round-off, shapes (dim,).
+        """Enclose the state at the end more narrowly than one float64 number a component can.
 
-        Of one initial state the ball is narrower than round-off.
+        Returns
+        -------
+        (Ball, numpy.ndarray)
+            A ball and numbers below the round-off of its mid-points: the state is in their sum.
+            Shapes (dim,).
         """
         require_float64()
         high, low, radius = self._sums(*self._place(self.span[1]))
