@@ -36,6 +36,18 @@ from tests.proof.misses import (
     triples,
 )
 
+#: Files of the kernel with bounds; that of the elementary functions has none.
+SOURCES = (
+    "balls.h",
+    "series.h",
+    "enclosures.h",
+    "balls.c",
+    "series.c",
+    "enclosures.c",
+    "sets.c",
+    "followed.c",
+)
+
 Misses = list[Any]
 Search = Callable[[Any], Misses]
 

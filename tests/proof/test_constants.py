@@ -19,19 +19,8 @@ import pytest
 from hamsym.kernel import build_backend
 from hamsym.kernel.enclosures import Enclosures, enclosures
 from hamsym.proof.arithmetic import directed
-from tests.proof.built_cases import CASES, PROVEN
+from tests.proof.built_cases import CASES, PROVEN, SOURCES
 
-#: Sources whose constants are bounds, and a constant there.
-SOURCES = (
-    "balls.h",
-    "series.h",
-    "enclosures.h",
-    "balls.c",
-    "series.c",
-    "enclosures.c",
-    "sets.c",
-    "followed.c",
-)
 DEFINITION = re.compile(r"^#define ([A-Z_]+) (.+?)(?: +/\*.*)?$", re.MULTILINE)
 VARIED = {name.partition(",")[0] for name in CASES}
 

@@ -35,6 +35,7 @@ from hamsym.kernel.enclosures import Enclosures, enclosures
 from hamsym.kernel.library import chosen_level
 from hamsym.proof.arithmetic.programs import ModelRows
 from hamsym.proof.windows.equation import Equation
+from tests.proof.built_cases import SOURCES
 from tests.proof.misses import (
     FORMULAS,
     Model,
@@ -66,17 +67,6 @@ Changes = tuple[tuple[str, str], ...]
 
 
 _COMPILER = build_backend._compiler()
-#: Files with bounds; that of the elementary functions, which has none, is compiled once.
-_PARTS = (
-    "balls.h",
-    "series.h",
-    "enclosures.h",
-    "balls.c",
-    "series.c",
-    "enclosures.c",
-    "sets.c",
-    "followed.c",
-)
 
 if _COMPILER is None:
     pytest.skip("needs a C compiler", allow_module_level=True)
@@ -101,7 +91,7 @@ def changed(changes: Changes) -> Any:
     """The functions of a library with passages of its text replaced."""
     if not changes:
         return enclosures()
-    texts = {part: (build_backend.FOLDER / part).read_text("utf-8") for part in _PARTS}
+    texts = {part: (build_backend.FOLDER / part).read_text("utf-8") for part in SOURCES}
     for old, new in changes:
         (place,) = [part for part, text in texts.items() if old in text]
         assert texts[place].count(old) == 1, old
@@ -109,7 +99,7 @@ def changed(changes: Changes) -> Any:
     folder = Path(tempfile.mkdtemp(dir=_folder()))
     for part, text in texts.items():
         (folder / part).write_text(text, "utf-8")
-    sources = [folder / part for part in _PARTS if part.endswith(".c")]
+    sources = [folder / part for part in SOURCES if part.endswith(".c")]
     include = f"-I{build_backend.FOLDER}"
     _compile(
         "-w",
