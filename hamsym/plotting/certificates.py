@@ -10,12 +10,13 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from hamsym.plotting.captions import caption_words
-from hamsym.plotting.figure import label, legend_above
+from hamsym.plotting.figure import figure_of, label, legend_above, one_panel
 from hamsym.plotting.names import math_name, number, quantity, time_name, words_of
 from hamsym.plotting.panels import Panel, draw_panels
-from hamsym.plotting.style import color_of, positive
+from hamsym.plotting.style import color_of, positive, style_for
 from hamsym.plotting.time_axes import component_curves, label_time, log_lines
 from hamsym.proof.arithmetic.ball import Ball
+from hamsym.proof.boxes.box_certificate import BoxCertificate
 from hamsym.proof.windows.certificate import Certificate
 from hamsym.proof.windows.enclose import Enclosure
 
@@ -170,3 +171,20 @@ def _draw_intervals(
         note += f"{'; ' if note else ''}{zeros or 'some'} {'zero' if zeros else 'infinite'}"
     if note:
         axes.text(0.99, 0.98, note, transform=axes.transAxes, ha="right", va="top", fontsize=6)
+
+
+def draw_box_certificate(found: BoxCertificate, *, ax: Any = None) -> Any:
+    """Draw the proven bound of each component; see :meth:`hamsym.BoxCertificate.plot`."""
+    start, end = (number(t, 6) for t in found.span)
+    words = ["Proven", "for"]
+    for name, (low, high) in found.box.items():
+        words += ["all", math_name(name), "from", number(low, 6), "to", number(high, 6) + ","]
+    words += ["for", "all", "times", "from", start, "to", end + "."]
+    words += [f"{found.parts:,}", "parts", "of", "the", "box.", *words_of(f"H = {found.formula}.")]
+    words += words_of(f"SHA-256 {found.digest[:16]}…")
+    upper = np.array(found.bound)
+    with one_panel(ax, words, height=6.0) as axes, style_for(ax):
+        names = [math_name(name) for name in found.components]
+        _draw_intervals(axes, names, np.zeros_like(upper), upper)
+        axes.set_title("Proven bound on the error of each component")
+        return figure_of(axes)

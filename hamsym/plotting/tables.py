@@ -13,9 +13,6 @@ from hamsym.plotting.figure import figure_of, label, legend, one_panel
 from hamsym.plotting.names import words_of
 from hamsym.plotting.style import color_of, style_for
 
-_MOST_UPRIGHT = 12  # names of rows, of which more are written upward
-_LOGARITHMIC = 10.0  # ratio of numbers above which their axis is logarithmic
-
 
 def draw_table(result: Any, *, ax: Any = None) -> Any:
     """Draw the columns of numbers of the first table that has some, over its rows."""
@@ -37,10 +34,7 @@ def draw_table(result: Any, *, ax: Any = None) -> Any:
             axes.plot(places, column.values, color=color_of(k), label=column.label)
         label(axes.xaxis, table.head or table.what)
         if named:
-            axes.set_xticks(places, rows, rotation=90 if len(rows) > _MOST_UPRIGHT else 0)
-        values = np.concatenate([np.asarray(column.values, dtype=float) for column in shown])
-        if values.min() > 0 and values.max() > _LOGARITHMIC * values.min():
-            axes.set_yscale("log")
+            axes.set_xticks(places, rows)
         if len(shown) == 1:
             label(axes.yaxis, shown[0].label)
         else:

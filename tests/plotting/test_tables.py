@@ -52,15 +52,6 @@ def test_rows_without_numbers_are_named() -> None:
     assert axes.get_ylabel() == "drift"
 
 
-def test_numbers_of_several_sizes_have_a_logarithmic_axis() -> None:
-    certificate = hamsym.BoxCertificate(
-        bound=(1e-9, 1e-6), components=("x", "p"), box={"x": (1.0, 2.0)}, fixed={}, expressions={},
-        span=(0.0, 9.0), formula="p**2/2", parts=4, digest="a" * 64, seconds=1.0,
-    )  # fmt: skip
-    assert certificate.plot().axes[0].get_yscale() == "log"
-    assert hamsym.plot(result(DRIFT)).axes[0].get_yscale() == "linear"
-
-
 def test_results_without_numbers_are_refused() -> None:
     with pytest.raises(InputError, match="Drifts has no table of numbers"):
         hamsym.plot(result(STATES, TEXTS))
@@ -73,5 +64,4 @@ def test_results_without_numbers_are_refused() -> None:
 def test_every_public_result_with_a_plot_has_a_figure() -> None:
     results = {getattr(hamsym, name) for name in hamsym.__all__ if name[0].isupper()}
     drawn = {kind.__name__ for kind in results if hasattr(kind, "plot")}
-    by_their_tables = {"BoxCertificate"}
-    assert drawn <= {*_figures()} | by_their_tables
+    assert drawn <= {*_figures()}
