@@ -22,6 +22,10 @@ from hamsym.orbits.symmetry import SignedPermutation
 
 _PARABOLIC = 1e-5  # distance of a multiplier from 1 or -1 that round-off may cause
 _ON_CIRCLE = 1e-6  # distance of |multiplier| from 1 that round-off may cause
+_SAFETY = 3  # times the estimated error of multipliers
+_NEAR = 1e-2  # relative distance of multipliers that may move together
+_UNIT = 2.0**-53
+_COARSE = 1e-2  # error of multipliers beyond which nothing is said about them
 _SHEAR = 1e-9  # entries of a monodromy matrix without the identity that are no round-off
 _RANK = 1e-8  # singular values relative to the largest that count as zero
 
@@ -96,7 +100,71 @@ def has_shear(monodromy: np.ndarray, scale: np.ndarray) -> bool:
     return bool(np.abs(excess).max() > _SHEAR)
 
 
-def stability_of(multipliers: np.ndarray, *, conservative: bool = True, shear: bool = False) -> str:
+def multiplier_error(matrix: np.ndarray, other: np.ndarray, *, conservative: bool = True) -> float:
+    """Return the estimated error of the eigenvalues of a map, from another computation of it.
+
+    The difference of the two is restricted to the invariant subspace of an eigenvalue, its inverse,
+    their conjugates and those near them. Its norm there, times the condition number of the
+    eigenvalue, is the error; a pair that nearly coincides moves by a square root at most (Elsner
+    1985). The others count to second order. Relative to the eigenvalue where it is larger than 1;
+    infinite if a map is not finite.
+
+    - matrix, other: Reduced maps, shape (n, n).
+    - conservative: Whether the smaller eigenvalues are the inverses of the larger ones, which alone
+      are judged then.
+
+    Examples
+    --------
+    >>> round(multiplier_error(np.diag([2.0, 0.1]), np.diag([2.002, 0.1])), 9)
+    0.001
+    """
+    if matrix.shape != other.shape or not (np.isfinite(matrix).all() and np.isfinite(other).all()):
+        return math.inf
+    values, right = np.linalg.eig(matrix)
+    sizes, found = np.abs(values), 0.0
+    if conservative and not sizes.all():
+        return math.inf
+    round_off = _UNIT * np.linalg.norm(matrix)
+    try:
+        left = np.linalg.inv(right)
+        change = left @ (other - matrix) @ right
+        judged = np.argsort(-sizes)[: len(sizes) // 2 if conservative else None]
+        for k, size in zip(judged, sizes[judged], strict=True):
+            related = [values[k], *([1 / values[k]] if conservative else [])]
+            related = np.array([*related, *np.conj(related)])
+            distances = np.abs(values[:, None] - related)
+            near = (distances <= _NEAR * np.abs(related)).any(axis=1)
+            triangle = np.linalg.qr(right[:, near])[1]  # to an orthonormal basis, and back
+            dual = np.linalg.inv(triangle)
+            among = np.ix_(near, near)
+            norm = np.linalg.norm(triangle @ change[among] @ dual)
+            norm += round_off * np.linalg.norm(triangle @ left[near])
+            place = int(near[:k].sum())
+            within = np.linalg.norm(triangle @ np.diag(values[near]) @ dual)
+            condition = np.linalg.norm(dual[place]) * np.linalg.norm(triangle[:, place])
+            error = min(condition * norm, math.sqrt(2 * within * norm))
+            across = np.abs(change[k, ~near] * change[~near, k] / (values[k] - values[~near]))
+            found = max(found, float((error + across.sum()) / max(1.0, size)))
+    except np.linalg.LinAlgError:
+        return math.inf
+    return found
+
+
+def differ_from_one(multipliers: np.ndarray, error: float) -> bool:
+    """Whether no multiplier is 1, in spite of their estimated error."""
+    with np.errstate(all="ignore"):
+        radii = np.maximum(_PARABOLIC, _SAFETY * error * np.maximum(1.0, np.abs(multipliers)))
+        return bool((np.abs(multipliers - 1) > radii).all())
+
+
+def stability_of(
+    multipliers: np.ndarray,
+    *,
+    order: int = 1,
+    error: float = 0.0,
+    conservative: bool = True,
+    shear: bool = False,
+) -> str:
     """Return the word for the linear stability that nontrivial multipliers imply.
 
     - "elliptic": all are on the unit circle, and none is 1 or -1;
@@ -104,16 +172,22 @@ def stability_of(multipliers: np.ndarray, *, conservative: bool = True, shear: b
     - "complex unstable": all are in quadruplets m, 1/m and their conjugates off the unit circle;
     - "parabolic": all are 1 or -1, up to round-off;
     - "mixed": of different kinds;
-    - "unknown": not finite.
+    - "unknown": their estimated error leaves more than one of these.
 
     Where none is left: "parabolic" with a shear, by which neighbours drift apart linearly, as those
     of an orbit of a pendulum with other periods do; "elliptic" without one, where all neighbours
     are periodic as well, as those of a harmonic oscillator.
 
+    A multiplier of a symplectic map that is farther from all others than their errors is on the
+    unit circle if its error leaves that open, because it would have a partner 1/conj(m) beside it
+    otherwise; and it is real if its conjugate is no other one.
+
     With forces multipliers have no pairs: "attracting" if all are inside the unit circle,
     "repelling" if all are outside, else "mixed".
 
-    - multipliers: Of the period, without the trivial ones.
+    - multipliers: Of one shift of the symmetry, without the trivial ones.
+    - order: Number of shifts in the period.
+    - error: Estimated error of the multipliers, relative where they are larger than 1.
     - conservative: Whether there are no forces.
     - shear: Whether the monodromy matrix is not the identity.
 
@@ -121,28 +195,51 @@ def stability_of(multipliers: np.ndarray, *, conservative: bool = True, shear: b
     --------
     >>> stability_of(np.exp([0.3j, -0.3j])), stability_of(np.array([-2.0, -0.5]))
     ('elliptic', 'hyperbolic')
+    >>> stability_of(1.0001 * np.exp([0.3j, -0.3j]), error=1e-4)
+    'elliptic'
+    >>> stability_of(np.array([0.9999, 1.0001]), error=1e-4)
+    'unknown'
     >>> stability_of(np.array([]), shear=True)
     'parabolic'
     """
-    sizes = np.abs(multipliers)
-    if not np.isfinite(sizes).all():
+    radius = _SAFETY * error
+    if not (np.isfinite(multipliers).all() and radius <= _COARSE):
         return "unknown"
     if not conservative:
-        if (sizes < 1 - _ON_CIRCLE).all():
+        sizes, width = np.abs(multipliers), max(_ON_CIRCLE, radius)
+        if (sizes < 1 - width).all():
             return "attracting"
-        return "repelling" if (sizes > 1 + _ON_CIRCLE).all() else "mixed"
-    kinds = {_kind(complex(value)) for value in multipliers}
+        if (sizes > 1 + width).all():
+            return "repelling"
+        open_ = radius > _ON_CIRCLE and (np.abs(sizes - 1) <= width).any()
+        return "unknown" if open_ else "mixed"
+    kinds = {_kind(multipliers, k, order, radius) for k in range(len(multipliers))}
     if not kinds:
         return "parabolic" if shear else "elliptic"
+    if "unknown" in kinds:
+        return "unknown"
     return kinds.pop() if len(kinds) == 1 else "mixed"
 
 
-def _kind(value: complex) -> str:
-    if min(abs(value - 1), abs(value + 1)) < _PARABOLIC:
-        return "parabolic"
-    if abs(abs(value) - 1) < _ON_CIRCLE:
-        return "elliptic"
-    return "complex unstable" if abs(value.imag) > _PARABOLIC * abs(value) else "hyperbolic"
+def _kind(multipliers: np.ndarray, k: int, order: int, radius: float) -> str:
+    """The kind of one of the multipliers of a symplectic map, within discs about all of them."""
+    value = multipliers[k]
+    if 0 < abs(value) < 1:  # the kind of its partner, which is the more accurate one
+        k = int(np.argmin(np.abs(multipliers - 1 / np.conj(value))))
+        value = multipliers[k]
+    radius *= max(1.0, abs(value))
+    alone = bool((np.abs(np.delete(multipliers, k) - value) > 2 * radius).all())
+    with np.errstate(all="ignore"):
+        turned = value**order
+    near = min(abs(turned - 1), abs(turned + 1))
+    if near < max(_PARABOLIC, 2 * order * radius):
+        return "parabolic" if near < _PARABOLIC and radius <= _PARABOLIC else "unknown"
+    away = abs(abs(value) - 1)
+    if away < max(_ON_CIRCLE, radius):
+        return "elliptic" if alone or radius <= _ON_CIRCLE else "unknown"
+    if abs(value.imag) <= max(_PARABOLIC * abs(value), radius):
+        return "hyperbolic" if alone or radius <= _PARABOLIC * abs(value) else "unknown"
+    return "complex unstable"
 
 
 # -- integrals -------------------------------------------------------------------------------------

@@ -18,7 +18,15 @@ from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.numerics.scales import floored_sizes
 from hamsym.numerics.symplectic import symplectic_inverse
 from hamsym.orbits.arc import Arc, Problem, vector_field_at
-from hamsym.orbits.multipliers import gradients_of_integrals, has_shear, reduced_map, stability_of
+from hamsym.orbits.integrals import integrals_of
+from hamsym.orbits.multipliers import (
+    differ_from_one,
+    gradients_of_integrals,
+    has_shear,
+    multiplier_error,
+    reduced_map,
+    stability_of,
+)
 from hamsym.orbits.period import period_of
 from hamsym.orbits.search import accurate_arc, check, first_arc, first_return, refined
 from hamsym.orbits.symmetry import closing_of
@@ -67,6 +75,9 @@ class PeriodicOrbit(Drawn, Saved):
         than :meth:`hamsym.Hamiltonian.invariants` finds, or the orbit is at a bifurcation.
     repetitions : int
         Number of times that the orbit is run through in its period.
+    multiplier_error : float
+        Estimated error of ``shift_multipliers``, relative where they are larger than 1: the
+        difference of two computations with other points in each window.
     seconds : float
         Run time.
     """
@@ -79,6 +90,7 @@ class PeriodicOrbit(Drawn, Saved):
     is_isolated: bool
     repetitions: Annotated[int, Limit(1)]
     _maps: Annotated[np.ndarray, floats("maps", "dim", "dim", finite=False)] = field(repr=False)
+    multiplier_error: AnyFloat = math.inf
     seconds: Size = 0.0
 
     def check(self) -> None:
@@ -222,12 +234,18 @@ class PeriodicOrbit(Drawn, Saved):
         """Linear stability, from the multipliers other than the trivial ones.
 
         "elliptic", "hyperbolic", "complex unstable", "parabolic" or "mixed", and "unknown" where a
-        failed orbit is not finite; with forces "attracting", "repelling" or "mixed". The page
-        Words of the documentation defines them.
+        failed orbit is not finite or the estimated error of the multipliers leaves more than one
+        of these; with forces "attracting", "repelling" or "mixed". The page Words of the
+        documentation defines them.
         """
-        multipliers = self.shift_multipliers**self.problem.closing.order
-        shear = not len(multipliers) and has_shear(self.monodromy, self.arc.scale)
-        return stability_of(multipliers, conservative=not self.H.forces, shear=shear)
+        multipliers = self.shift_multipliers
+        return stability_of(
+            multipliers,
+            order=self.problem.closing.order,
+            error=self.multiplier_error,
+            conservative=not self.H.forces,
+            shear=not len(multipliers) and has_shear(self.monodromy, self.arc.scale),
+        )
 
     # -- consumers ----------------------------------------------------------------------------
 
@@ -379,6 +397,16 @@ def solved_orbit(
     finer, step, error = check(problem, found.arc)
     if problem.closing.first is not None:  # exactly in its fixed set, for signed zeros too
         finer.ends[0] = (finer.ends[0] + problem.closing.first(finer.ends[0])) / 2 + 0.0
+    orbit = PeriodicOrbit(problem, finer, False, "", error, not step.singular, 1, step.maps)
+    coarser = replace(orbit, _maps=found.step.maps)
+    with np.errstate(all="ignore"):
+        spread = multiplier_error(
+            orbit._reduced, coarser._reduced, conservative=not problem.H.forces
+        )
+    if step.singular and problem.period is None and len(integrals_of(problem.H)) <= 1:
+        # Newton's matrix of an unstable orbit may be singular up to round-off only; orbits of one
+        # energy are isolated if no multiplier is 1.
+        orbit = replace(orbit, is_isolated=differ_from_one(orbit.shift_multipliers, spread))
     failure = found.failure or _degenerate(problem, finer)
     if not failure and not error <= tol:
         failure = f"the estimated error {error:.1e} is above tol {tol:.1e}"
@@ -387,7 +415,7 @@ def solved_orbit(
     elapsed = "" if began is None else f" in {seconds:.2g} s"
     count = len(found.arc.edges) - 1
     message = failure or f"{count} windows, estimated error {error:.1e}{elapsed}"
-    if not failure and step.singular:
+    if not failure and not orbit.is_isolated:
         message += "; not isolated: H has more conserved quantities, or this is a bifurcation"
     repetitions = 1 if failure else _repetitions(problem, finer, tol)
     if repetitions > 1 and problem.period is None and reduce:
@@ -396,16 +424,13 @@ def solved_orbit(
             return once
     if repetitions > 1:
         message += f"; the period is {repetitions} times the shortest one"
-    return PeriodicOrbit(
-        problem,
-        finer,
-        not failure,
-        message,
-        error,
-        not step.singular,
-        repetitions,
-        step.maps,
-        seconds,
+    return replace(
+        orbit,
+        success=not failure,
+        message=message,
+        repetitions=repetitions,
+        multiplier_error=spread,
+        seconds=seconds,
     )
 
 

@@ -7,7 +7,13 @@ import pytest
 import scipy.linalg
 
 from hamsym.numerics.symplectic import poisson_matrix
-from hamsym.orbits.multipliers import has_shear, reduced_map, stability_of
+from hamsym.orbits.multipliers import (
+    differ_from_one,
+    has_shear,
+    multiplier_error,
+    reduced_map,
+    stability_of,
+)
 
 ROTATION = scipy.linalg.expm(np.array([[0.0, 0.7], [-0.7, 0.0]]))
 SADDLE = np.diag([3.0, 1 / 3])
@@ -118,3 +124,94 @@ def test_words_for_pairs_of_multipliers(multipliers, word):
 )
 def test_shear_decides_where_no_multiplier_is_left(slope, word):
     assert stability_of(np.array([]), shear=has_shear(shear(slope), np.ones(2))) == word
+
+
+KINDS = {
+    "elliptic": lambda m: np.exp([1j * m, -1j * m]),
+    "hyperbolic": lambda m: np.array([math.exp(m), math.exp(-m)]),
+    "complex unstable": lambda m: np.exp([m + 1j, m - 1j, -m + 1j, -m - 1j]),
+}
+
+
+def realised(multipliers):
+    """A symplectic matrix with given eigenvalues, a pair or four."""
+    if len(multipliers) == 2:  # a companion matrix
+        return np.real([[0, 1], [-np.prod(multipliers), np.sum(multipliers)]])
+    growth, angle = math.log(abs(multipliers[0])), 1.0
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    found = np.zeros((4, 4))
+    found[:2, :2], found[2:, 2:] = math.exp(growth) * turn, math.exp(-growth) * turn
+    return found
+
+
+@pytest.mark.parametrize("size", [1e-13, 1e-9, 1e-6, 1e-4])
+@pytest.mark.parametrize("kind", KINDS)
+def test_words_are_right_or_unknown_whatever_the_error(kind, size):
+    random = np.random.default_rng(7)
+    said = []
+    for exponent in np.repeat([-5.0, -4.0, -3.0, -2.0, -1.0, 0.0], 10):
+        exact = realised(KINDS[kind](10**exponent))
+        change = canonical(len(exact) // 2, random)
+        exact = change @ exact @ np.linalg.inv(change)
+        maps = [exact + size * random.normal(size=exact.shape) for _ in "12"]
+        one, error = np.linalg.eigvals(maps[0]).astype(complex), multiplier_error(*maps)
+        word = stability_of(one, error=error)
+        # Up to 1e-5 from 1 multipliers are called 1, whatever their error.
+        near = exponent == -5
+        assert word in {kind, "unknown", *(["parabolic"] if near else [])}, (exponent, one, error)
+        said.append(word == kind)
+    assert sum(said) >= (40 if size <= 1e-9 else 20 if size <= 1e-6 else 5)
+
+
+def test_one_multiplier_alone_is_on_the_circle_and_two_may_have_left_it():
+    near = np.exp([1.0001j, -1.0001j, 1j, -1j])
+    assert stability_of(near * 1.00002, error=1e-5) == "elliptic"
+    assert stability_of(near * 1.00002, error=4e-5) == "unknown"
+
+
+def test_powers_of_multipliers_of_a_shift_are_judged():
+    third = np.exp([2j * np.pi / 3, -2j * np.pi / 3])
+    assert stability_of(third) == "elliptic"
+    assert stability_of(third, order=3) == "parabolic"
+    assert stability_of(third, order=3, error=1e-4) == "unknown"
+
+
+@pytest.mark.parametrize(
+    ("sizes", "error", "word"),
+    [
+        ([0.9, 0.5], 1e-4, "attracting"),
+        ([0.9999, 0.5], 1e-4, "unknown"),
+        ([1.5, 0.5], 1e-4, "mixed"),
+        ([1.5, 1.0001], 1e-4, "unknown"),
+        ([0.9, 0.5], 0.1, "unknown"),
+        ([0.9, 0.5], math.nan, "unknown"),
+    ],
+)
+def test_words_with_forces_leave_room_for_the_error(sizes, error, word):
+    assert stability_of(np.array(sizes), error=error, conservative=False) == word
+
+
+def test_errors_of_multipliers_are_relative_to_large_ones_and_infinite_without_a_map():
+    matrix = np.diag([1e6, 1e-6, 2.0, 0.5])
+    assert multiplier_error(matrix, matrix) < 1e-9
+    moved = matrix + np.diag([1e3, 0, 0, 0])
+    assert multiplier_error(matrix, moved) == pytest.approx(1e-3)
+    # A shear between multipliers of different size moves none of them to first order.
+    moved = matrix + 1e-3 * np.eye(4, k=2)
+    assert multiplier_error(matrix, moved) < 1e-9
+    assert multiplier_error(matrix, matrix[:2, :2]) == math.inf
+    assert multiplier_error(matrix, matrix * math.nan) == math.inf
+
+
+@pytest.mark.parametrize("size", [1e-14, 1e-10, 1e-6])
+def test_errors_of_a_jordan_block_are_square_roots(size):
+    exact = shear(3.0)
+    other = exact + size * np.array([[0, 0], [1.0, 0]])
+    found = multiplier_error(exact, other)
+    assert math.sqrt(3 * size) / 3 < found < 20 * math.sqrt(3 * size)
+
+
+def test_multipliers_differ_from_one_by_more_than_their_error():
+    assert differ_from_one(np.array([1e9, 1e-9]), 1e-6)
+    assert not differ_from_one(np.array([1.01, 1 / 1.01]), 0.01)
+    assert not differ_from_one(np.array([2.0, 0.5]), math.inf)

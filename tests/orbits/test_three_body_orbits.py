@@ -9,11 +9,12 @@ from hamsym.orbits.search import accurate_arc, first_arc
 from hamsym.orbits.window_maps import WindowMaps
 
 
-def three_bodies(axes):
+def three_bodies(axes, third=1.0):
     q = [f"{c}{i}" for i in "123" for c in axes]
-    kinetic = " + ".join(f"p_{name}**2/2" for name in q)
+    masses = {"1": 1.0, "2": 1.0, "3": third}
+    kinetic = " + ".join(f"p_{name}**2/(2*{masses[name[1]]})" for name in q)
     potential = " - ".join(
-        "1/sqrt(" + " + ".join(f"({c}{i} - {c}{j})**2" for c in axes) + ")"
+        f"{masses[i] * masses[j]}/sqrt(" + " + ".join(f"({c}{i} - {c}{j})**2" for c in axes) + ")"
         for i, j in ("12", "13", "23")
     )
     return hamsym.Hamiltonian(f"{kinetic} - {potential}", q=q, p=[f"p_{name}" for name in q])
@@ -135,6 +136,25 @@ def test_long_orbit_takes_the_windows_it_needs():
     assert len(orbit.arc.edges) > 400
     assert orbit.period == pytest.approx(63.534, rel=2e-5)
     assert closure(orbit, 2) < 1e-6
+    assert orbit.stability == "elliptic"
+
+
+@pytest.mark.slow
+def test_stable_orbit_with_multipliers_off_the_circle_by_round_off_is_elliptic():
+    # O_4(1.6) of Li & Liao, with close encounters
+    z0, vx, vy, vz = (
+        -7.33787057798380e-02,
+        5.61172381542911e-01,
+        -5.16977162063208e-02,
+        -4.12864096843598e-02,
+    )
+    guess = [-1, 0, 0, 1, 0, 0, 0, 0, z0, vx, vy, vz, vx, vy, -vz, -2 * vx, -2 * vy, 0]
+    orbit = hamsym.periodic_orbit(
+        three_bodies("xyz", third=1.6), (guess, 9.89467523479519), tol=1e-8
+    )
+    assert orbit.success
+    assert np.abs(np.abs(orbit.shift_multipliers) - 1).max() < 10 * orbit.multiplier_error
+    assert orbit.multiplier_error < 1e-3
     assert orbit.stability == "elliptic"
 
 
