@@ -130,8 +130,8 @@ def multiplier_error(matrix: np.ndarray, other: np.ndarray, *, conservative: boo
         change = left @ (other - matrix) @ right
         judged = np.argsort(-sizes)[: len(sizes) // 2 if conservative else None]
         for k, size in zip(judged, sizes[judged], strict=True):
-            related = [values[k], *([1 / values[k]] if conservative else [])]
-            related = np.array([*related, *np.conj(related)])
+            ends = np.array([values[k], *([1 / values[k]] if conservative else [])])
+            related = np.append(ends, np.conj(ends))
             distances = np.abs(values[:, None] - related)
             near = (distances <= _NEAR * np.abs(related)).any(axis=1)
             triangle = np.linalg.qr(right[:, near])[1]  # to an orthonormal basis, and back
