@@ -17,7 +17,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.optimize import brentq
 
-from hamsym.numerics.collocation import collocation
 from hamsym.orbits.arc import Arc, Problem
 from hamsym.orbits.integrals import slice_of
 from hamsym.orbits.newton_system import NewtonSystem
@@ -162,24 +161,13 @@ class Continuation:
         """The orbit at a distance along the tangent, or None."""
         orbit, system = here.orbit, here.system
         change = distance * _unweighted(here.tangent, orbit.arc) * system.units
-        count = orbit.arc.ends.size
-        ends = orbit.arc.ends + change[:count].reshape(orbit.arc.ends.shape)
-        values = orbit.arc.values + _between(orbit.arc, change[:count])
-        arc = Arc(orbit.arc.edges, ends, values, orbit.arc.period + float(change[count]))
-        problem = self._problem_of(orbit)
-        if problem.parameter is not None:
-            problem = _varied(problem, float(change[count + 1]))
-        if not arc.period > 0:
-            return None
-        found = _converged_across(problem, arc, here.tangent, system.units)
+        found = displaced(self._problem_of(orbit), orbit.arc, system, change)
+        if found is not None:
+            found = converged_across(*found, here.tangent, system.units)
         if found is None:
             return None
-        problem, arc = found
-        final = _pinned(problem, arc)
-        made = solved_orbit(final, arc, self._tol if tol is None else tol)
-        if not made.success:
-            return None
-        return replace(made, problem=replace(made.problem, parameter=None))
+        made = solved_orbit(pinned(*found), found[1], self._tol if tol is None else tol)
+        return made if made.success else None
 
     def _locate(self, here: _Point, there: _Point) -> None:
         """Add the bifurcations between neighbours."""
@@ -259,7 +247,7 @@ def _extent(orbit: PeriodicOrbit) -> np.ndarray:
     return np.asarray(np.ptp(orbit.arc.ends, axis=0))
 
 
-def _pinned(problem: Problem, arc: Arc) -> Problem:
+def pinned(problem: Problem, arc: Arc) -> Problem:
     """The problem of one orbit of a family."""
     if problem.energy is not None or problem.period is not None:
         return replace(problem, parameter=None)
@@ -275,7 +263,23 @@ def _varied(problem: Problem, change: float) -> Problem:
     )
 
 
-def _converged_across(
+def displaced(
+    problem: Problem, arc: Arc, system: NewtonSystem, change: np.ndarray
+) -> tuple[Problem, Arc] | None:
+    """Move an arc along a solution of its linear system, or None if the period is not positive.
+
+    - change: Of the states at the ends of windows, the period and the parameter.
+    """
+    count = arc.ends.size
+    ends = arc.ends + change[:count].reshape(arc.ends.shape)
+    values = arc.values + system.inside(change)
+    if problem.parameter is not None:
+        problem = _varied(problem, float(change[count + 1]))
+    period = arc.period + float(change[count])
+    return (problem, Arc(arc.edges, ends, values, period)) if period > 0 else None
+
+
+def converged_across(
     problem: Problem, arc: Arc, tangent: np.ndarray, units: np.ndarray
 ) -> tuple[Problem, Arc] | None:
     """Newton's method across the tangent, or None."""
@@ -295,13 +299,6 @@ def _converged_across(
             return problem, arc
         before = step.size
     return None
-
-
-def _between(arc: Arc, ends: np.ndarray) -> np.ndarray:
-    """Changes at the points of windows, linear between those at their ends."""
-    change = ends.reshape(arc.ends.shape)
-    s = collocation(arc.values.shape[1]).nodes[:, None]
-    return np.asarray(change[:-1, None] * (1 - s) + change[1:, None] * s)
 
 
 def _unweighted(tangent: np.ndarray, arc: Arc) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.orbits.branching import LEAVING, first_of_branch
 from hamsym.orbits.continuation import Aim, Bifurcation, Continuation
 from hamsym.orbits.orbit import PeriodicOrbit
 from hamsym.support.progress import stepping_progress
@@ -104,6 +105,68 @@ class OrbitFamily(Drawn, Saved, Sequence[PeriodicOrbit]):
         if self.parameter is None:
             raise InputError("no parameter varies along this family; see energies and periods")
         return np.array([orbit.H.parameters[self.parameter] for orbit in self.orbits])
+
+    @property
+    def branches(self) -> tuple[Bifurcation, ...]:
+        """Bifurcations at which another family of periodic orbits leaves: those at which the
+        symmetry breaks, the period doubles, or a pair of multipliers meets at 1.
+        """
+        return tuple(found for found in self.bifurcations if found.kind in LEAVING)
+
+    def branch(self, k: int, *, side: int = 1, tol: float = 1e-10, **target: Any) -> OrbitFamily:
+        """Continue the family that leaves at a bifurcation.
+
+        Its first orbit is found next to the bifurcation, along the second null vector of Newton's
+        system without the symmetry that breaks, or over two periods.
+
+        Parameters
+        ----------
+        k : int
+            Number of the bifurcation in ``branches``.
+        side : int
+            1 or -1. Orbits of the two sides may be images of each other under a symmetry, as the
+            northern and the southern halo orbits are, or the same orbit half a period later.
+        tol : float
+            As in :func:`hamsym.periodic_orbit`.
+        target
+            ``energy``, ``period`` or ``parameter`` at the end, and other keywords of
+            :func:`hamsym.orbit_family`.
+
+        Returns
+        -------
+        OrbitFamily
+            It begins next to the bifurcation.
+
+        Raises
+        ------
+        InputError
+            If there is no such bifurcation, or no orbit of another family was found near it.
+
+        Examples
+        --------
+        >>> import hamsym
+        >>> H = hamsym.Hamiltonian("(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2 + x**2*y - y**3/3")
+        >>> z0 = H.state_at_energy(0.13, {"x": 0, "y": 0, "p_x": 0})
+        >>> family = hamsym.periodic_orbit(H, z0).family(energy=0.14)
+        >>> [found.kind for found in family.branches]
+        ['period doubling']
+        >>> doubled = family.branch(0, energy=0.14)
+        >>> doubled.success, round(doubled[-1].period / family[-1].period, 2)
+        (True, 2.0)
+        """
+        if not (isinstance(k, int) and 0 <= k < len(self.branches)):
+            count = len(self.branches)
+            raise InputError(
+                f"k must be a number from 0 to {count - 1}, a place in family.branches, not {k!r}"
+                if count
+                else "no other family leaves here: family.branches is empty"
+            )
+        if side not in (1, -1):
+            raise InputError(f"side must be 1 or -1, not {side!r}")
+        found = self.branches[k]
+        beside = self.orbits[min(found.after + 1, len(self) - 1)]
+        first = first_of_branch(found, beside, self.parameter, side, tol)
+        return orbit_family(first, tol=tol, **target)
 
     @property
     def stabilities(self) -> list[str]:

@@ -174,6 +174,31 @@ class NewtonSystem:
             found = -found
         return found
 
+    def inside(self, change: np.ndarray) -> np.ndarray:
+        """Return the changes at the points of windows that follow, shape (k, nodes, dim).
+
+        - change: Of the states at the ends of windows, the period and the parameter, shape (n,).
+        """
+        dim, maps = self._dim, self._windows.inside
+        starts = change[:-2].reshape(-1, dim)[:-1]
+        moved = np.einsum("kjac,kc->kja", maps[..., :dim], starts)
+        return np.asarray(moved + maps[..., dim : dim + 2] @ change[-2:])
+
+    def null_vectors(self, gap: float) -> np.ndarray | None:
+        """Return two scaled solutions of the equations without right-hand sides, shape (2, n).
+
+        None if the equations of a family have one solution only.
+
+        - gap: Smallest ratio of singular values at which the second one counts as no zero.
+        """
+        if not np.isfinite(self._matrix).all():
+            return None
+        _, sizes, right = scipy.linalg.svd(self._matrix)
+        if not sizes[-1] <= gap * sizes[-2]:
+            return None
+        whole = [self._whole(row, homogeneous=True)[: len(self.units)] for row in right[-2:]]
+        return np.array(whole)
+
     def _null_vector(self) -> np.ndarray:
         """Scaled unknowns that solve the equations without their right-hand sides."""
         return self._whole(scipy.linalg.svd(self._matrix)[2][-1], homogeneous=True)

@@ -1,0 +1,190 @@
+"""The first orbit of a family that leaves another one at a bifurcation.
+
+At a bifurcation Newton's system of orbits with less symmetry, or with twice the period, has two
+null vectors: one along the family, and another one along the family that leaves it. The start is
+moved along the latter, and Newton's method follows across it (Keller 1977).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hamsym.errors import InputError
+from hamsym.orbits.arc import Arc, Problem
+from hamsym.orbits.continuation import Bifurcation, converged_across, displaced, pinned
+from hamsym.orbits.integrals import slice_of
+from hamsym.orbits.newton_system import NewtonSystem
+from hamsym.orbits.orbit import PeriodicOrbit, solved_orbit
+from hamsym.orbits.period import period_of
+from hamsym.orbits.symmetry import Closing, SignedPermutation
+
+#: Kinds of bifurcations at which another family of periodic orbits leaves.
+LEAVING = ("branching", "period doubling", "symmetry breaking")
+
+_AMPLITUDES = (
+    0.02,
+    0.005,
+    0.05,
+    0.001,
+)  # of the first orbit, in states relative to the extents of the motion
+_GAP = 1e-2  # ratio of the second singular value to the third one at a bifurcation
+_APART = 0.1  # distance of the first orbit from the family, relative to its amplitude
+_PLACES, _POINTS = 12, 1000  # of an orbit, and of another one that is compared with it
+
+
+def first_of_branch(
+    found: Bifurcation, beside: PeriodicOrbit, parameter: str | None, side: int, tol: float
+) -> PeriodicOrbit:
+    """Compute an orbit of the family that leaves at a bifurcation.
+
+    - beside: Another orbit of the family, near the bifurcation.
+    - parameter: The parameter that varies along the family.
+    - side: 1 or -1, the sense of the null vector.
+
+    Raises
+    ------
+    InputError
+        If no orbit is found.
+    """
+    for problem, arc, turns in _less_symmetric(found, parameter):
+        share = turns * beside.period / problem.closing.parts
+        nearby = beside(problem.start + share * arc.edges)
+        leaving = _leaving(problem, arc, nearby)
+        if leaving is None:
+            continue
+        for amplitude in _AMPLITUDES:
+            orbit = leaving.at(side * amplitude, tol)
+            if orbit is not None and _is_new(orbit, found.orbit, parameter, amplitude, tol):
+                return orbit
+    raise InputError(
+        f"no orbit of another family was found at the {found.kind} at energy "
+        f"{found.orbit.energy:.10g}; continue the family with smaller steps (max_step=)"
+    )
+
+
+def _less_symmetric(
+    found: Bifurcation, parameter: str | None
+) -> Iterator[tuple[Problem, Arc, int]]:
+    """Problems whose solutions may leave the family, with the arc of the bifurcation and its number
+    of periods.
+    """
+    orbit = found.orbit
+    problem = replace(orbit.problem, parameter=parameter)
+    if parameter is None:
+        problem = replace(problem, energy=None, period=None, exact_period=None)
+    whole = Closing(SignedPermutation.identity(orbit.H.dim))
+    if found.kind == "branching":
+        yield problem, orbit.arc, 1
+        if problem.closing == whole:
+            return
+    turns = 2 if found.kind == "period doubling" else 1
+    if problem.exact_period is not None:
+        exact = period_of(problem.H, turns * problem.exact_period.formula)
+        problem = replace(problem, period=turns * orbit.period, exact_period=exact)
+    yield replace(problem, closing=whole), _unfolded(orbit, turns), turns
+
+
+def _unfolded(orbit: PeriodicOrbit, turns: int) -> Arc:
+    """The arc over a number of periods, without symmetry."""
+    arc, closing = orbit.arc, orbit.problem.closing
+    count = turns * closing.parts
+    edges, ends, values = [np.zeros(1)], [arc.ends[:1]], []
+    for part in range(count):
+        own, states, inside = arc.edges, arc.ends, arc.values
+        if closing.reversing and part % 2:
+            own, states, inside = 1 - own[::-1], states[::-1], inside[::-1, ::-1]
+        edges.append((part + own[1:]) / count)
+        ends.append(closing.unfolded(part % closing.parts, states[1:]))
+        values.append(closing.unfolded(part % closing.parts, inside))
+    return Arc(
+        np.concatenate(edges), np.concatenate(ends), np.concatenate(values), turns * arc.period
+    )
+
+
+@dataclass(frozen=True)
+class _Leaving:
+    """The direction of a family that leaves at an arc.
+
+    - direction: States at the ends of windows, whose root mean square is 1 in natural units, the
+      period and the parameter.
+    - units: Of these.
+    """
+
+    problem: Problem
+    arc: Arc
+    system: NewtonSystem
+    direction: np.ndarray
+    units: np.ndarray
+
+    def at(self, distance: float, tol: float) -> PeriodicOrbit | None:
+        """The orbit at a distance, or None."""
+        change = distance * self.direction * self.units
+        found = displaced(self.problem, self.arc, self.system, change)
+        if found is not None:
+            found = converged_across(*found, self.direction, self.units)
+        if found is None:
+            return None
+        made = solved_orbit(pinned(*found), found[1], tol)
+        return made if made.success else None
+
+
+def _leaving(problem: Problem, arc: Arc, beside: np.ndarray) -> _Leaving | None:
+    """The null vector that leads away from the family, or None if there is no second one.
+
+    - beside: States of a neighbour at the ends of the windows, shape (windows + 1, dim).
+    """
+    with np.errstate(all="ignore"):
+        system = NewtonSystem(problem, arc, slice_of(problem, arc))
+        vectors = system.null_vectors(_GAP)
+    if vectors is None:
+        return None
+    count, units = arc.ends.size, _natural(arc, system.units)
+    vectors = vectors * system.units / units
+    # The combination of them that is nearest to a neighbour is along the family.
+    change = (beside - arc.ends).ravel() / units[:count]
+    shares = np.linalg.lstsq(vectors[:, :count].T, change, rcond=None)[0]
+    products = vectors[:, :count] @ vectors[:, :count].T @ shares
+    found = products[1] * vectors[0] - products[0] * vectors[1]
+    size = np.sqrt(np.mean(found[:count] ** 2))
+    if not 0 < size < np.inf:
+        return None
+    largest = found[np.argmax(np.abs(found[:count]))]
+    return _Leaving(problem, arc, system, found / size * np.sign(largest), units)
+
+
+def _natural(arc: Arc, units: np.ndarray) -> np.ndarray:
+    """Extents of the motion in which coordinates count alike, and momenta; other units as they
+    are.
+    """
+    return np.concatenate([np.tile(_extents(arc), len(arc.ends)), units[arc.ends.size :]])
+
+
+def _extents(arc: Arc) -> np.ndarray:
+    """The largest extent of a coordinate for all coordinates, and of a momentum, shape (dim,)."""
+    q, p = np.split(np.ptp(arc.ends, axis=0), 2)
+    return np.repeat([q.max(), p.max()], len(q))
+
+
+def _is_new(
+    orbit: PeriodicOrbit, old: PeriodicOrbit, parameter: str | None, amplitude: float, tol: float
+) -> bool:
+    """Whether an orbit is not that of the family with the same energy or parameter."""
+    problem = replace(old.problem, H=orbit.H)
+    if parameter is None:
+        problem = replace(problem, energy=orbit.energy, period=None, exact_period=None)
+    other = solved_orbit(problem, old.arc, tol)
+    if not other.success:
+        other = old
+    start = problem.start
+    path = other(start + np.linspace(0, other.period, _POINTS))
+    states = orbit(start + np.linspace(0, orbit.period, _PLACES))
+    units = _extents(old.arc)
+    path, states = path / units, states / units
+    legs = np.diff(path, axis=0)
+    from_start = states[:, None] - path[:-1]
+    along = np.clip((from_start * legs).sum(-1) / (legs**2).sum(-1), 0, 1)
+    distances = np.linalg.norm(from_start - along[..., None] * legs, axis=-1).min(axis=1)
+    return bool(distances.max() > _APART * amplitude)
