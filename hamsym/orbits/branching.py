@@ -51,8 +51,11 @@ def first_of_branch(
     """
     for problem, arc, turns in _less_symmetric(found, parameter):
         share = turns * beside.period / problem.closing.parts
-        nearby = beside(problem.start + share * arc.edges)
-        leaving = _leaving(problem, arc, nearby)
+        change = [(beside(problem.start + share * arc.edges) - arc.ends).ravel()]
+        change.append(np.array([turns * beside.period - arc.period, 0.0]))
+        if parameter is not None:
+            change[1][1] = beside.H.parameters[parameter] - problem.H.parameters[parameter]
+        leaving = _leaving(problem, arc, np.concatenate(change))
         if leaving is None:
             continue
         for amplitude in _AMPLITUDES:
@@ -131,10 +134,10 @@ class _Leaving:
         return made if made.success else None
 
 
-def _leaving(problem: Problem, arc: Arc, beside: np.ndarray) -> _Leaving | None:
+def _leaving(problem: Problem, arc: Arc, along: np.ndarray) -> _Leaving | None:
     """The null vector that leads away from the family, or None if there is no second one.
 
-    - beside: States of a neighbour at the ends of the windows, shape (windows + 1, dim).
+    - along: Changes of all unknowns to a neighbour of the family, shape (n,).
     """
     with np.errstate(all="ignore"):
         system = NewtonSystem(problem, arc, slice_of(problem, arc))
@@ -142,12 +145,13 @@ def _leaving(problem: Problem, arc: Arc, beside: np.ndarray) -> _Leaving | None:
     if vectors is None:
         return None
     count, units = arc.ends.size, _natural(arc, system.units)
-    vectors = vectors * system.units / units
-    # The combination of them that is nearest to a neighbour is along the family.
-    change = (beside - arc.ends).ravel() / units[:count]
-    shares = np.linalg.lstsq(vectors[:, :count].T, change, rcond=None)[0]
-    products = vectors[:, :count] @ vectors[:, :count].T @ shares
-    found = products[1] * vectors[0] - products[0] * vectors[1]
+    weights = np.ones(len(units))
+    weights[:count] = 1 / np.sqrt(count)
+    vectors = vectors * system.units / units * weights
+    # Of their combinations the one nearest to the neighbour is along the family.
+    shares = np.linalg.lstsq(vectors.T, along / units * weights, rcond=None)[0]
+    products = vectors @ vectors.T @ shares
+    found = (products[1] * vectors[0] - products[0] * vectors[1]) / weights
     size = np.sqrt(np.mean(found[:count] ** 2))
     if not 0 < size < np.inf:
         return None

@@ -11,6 +11,7 @@ from hamsym.support.suggestions import attribute_message
 from hamsym.systems.catalogue import CATALOGUE, Problem, Reference
 from hamsym.systems.celestial import (
     arenstorf,
+    halo_orbits,
     kepler,
     pleiades,
     restricted_three_bodies,
@@ -49,6 +50,7 @@ __all__ = [
     "driven_duffing",
     "driven_oscillator",
     "fermi_pasta_ulam_tsingou",
+    "halo_orbits",
     "harmonic_oscillator",
     "henon_heiles",
     "kepler",

@@ -118,10 +118,14 @@ def pleiades() -> Problem:
 # -- the restricted problem of three bodies ------------------------------------------------------
 
 
-def _rotating(mu: float) -> Hamiltonian:
+def _rotating(mu: float, axes: str = "xy") -> Hamiltonian:
+    kinetic = " + ".join(f"p_{axis}**2" for axis in axes)
+    across = " + ".join(f"{axis}**2" for axis in axes[1:])
     return Hamiltonian(
-        "(p_x**2 + p_y**2)/2 + y*p_x - x*p_y - (1 - mu)/sqrt((x + mu)**2 + y**2)"
-        " - mu/sqrt((x - 1 + mu)**2 + y**2)",
+        f"({kinetic})/2 + y*p_x - x*p_y - (1 - mu)/sqrt((x + mu)**2 + {across})"
+        f" - mu/sqrt((x - 1 + mu)**2 + {across})",
+        q=list(axes),
+        p=[f"p_{axis}" for axis in axes],
         parameters={"mu": mu},
     )
 
@@ -197,4 +201,46 @@ def arenstorf(start: str = "period 17.07") -> Problem:
         period=period,
         start=start,
         starts=tuple(_ARENSTORF),
+    )
+
+
+# x, z and y' at the start, period
+_HALO = {
+    "L1": (-0.41456184803140111, 0.90753120433295065, 1.4076145460136695, 3.1233143922761588),
+    "L2, near the moon": (0.987400731008972, 0.008100357035379353, 1.702808084855773, 1.5),
+}
+
+
+@listed
+def halo_orbits(start: str = "L2, near the moon") -> Problem:
+    """Periodic orbits of a spacecraft in space about the Lagrange points of the earth and the moon.
+
+    H = (p_x^2 + p_y^2 + p_z^2)/2 + y p_x - x p_y - (1 - mu)/r_1 - mu/r_2 with mu =
+    0.01215058560962404, as :func:`restricted_three_bodies` in space. Orbits begin in the plane y =
+    0, at right angles to it, and are their own images under y -> -y with the time reversed; their
+    families leave those of the planar Lyapunov orbits (Howell 1984). That of L1 is far along its
+    family, out of the plane; that of L2, a northern one, passes the moon at 0.0084, 3,200 km.
+
+    Raises
+    ------
+    InputError
+        If there is no such start.
+
+    Examples
+    --------
+    >>> problem = halo_orbits(start="L1")
+    >>> problem.period
+    3.1233143922761588
+    """
+    check_start(start, _HALO)
+    x, z, velocity, period = _HALO[start]
+    return Problem(
+        "halo orbit",
+        _rotating(0.01215058560962404, "xyz"),
+        (x, 0.0, z, 0.0, x + velocity, 0.0),
+        (0.0, period),
+        "L1: JPL, catalogue of periodic orbits of three bodies; L2: Howell 1984, start found here",
+        period=period,
+        start=start,
+        starts=tuple(_HALO),
     )

@@ -43,6 +43,20 @@ def test_restricted_problem_has_the_coriolis_force() -> None:
     assert ay == pytest.approx(y - 2 * vx - (1 - mu) * y / first - mu * y / second)
 
 
+def test_restricted_problem_in_space_is_the_planar_one_with_a_pull_to_the_plane() -> None:
+    problem, mu = systems.halo_orbits(), 0.01215058560962404
+    x, y, z, p_x, p_y, p_z = state = RANDOM.normal(size=6)
+    found = rates(problem, state)
+    planar = rates(systems.restricted_three_bodies(mu), [x, y, p_x, p_y])
+    assert found[:2] == pytest.approx(planar[:2])
+    first, second = ((x + mu) ** 2 + y**2, (x - 1 + mu) ** 2 + y**2)
+    pulls = (1 - mu) / (first + z**2) ** 1.5, mu / (second + z**2) ** 1.5
+    assert found[2] == p_z
+    assert found[5] == pytest.approx(-sum(pulls) * z)
+    assert found[4] == pytest.approx(-p_x - sum(pulls) * y)
+    assert found[3] == pytest.approx(p_y - pulls[0] * (x + mu) - pulls[1] * (x - 1 + mu))
+
+
 @pytest.mark.parametrize("mu", [0.01, 0.3])
 def test_triangular_point_is_at_rest(mu: float) -> None:
     problem = systems.restricted_three_bodies(mu)

@@ -200,6 +200,18 @@ def test_arenstorf_orbits_close(start: str) -> None:
     assert (gap <= allowed * np.array([1, 1, 2, 2])).all()
 
 
+@pytest.mark.parametrize(
+    ("start", "error"),
+    [("L1", 1e-12), ("L2, near the moon", 1e-15)],  # of the published start, of ours
+)
+def test_halo_orbits_close(start: str, error: float) -> None:
+    problem = made("halo_orbits", start)
+    gap = np.abs(problem.reference.state - problem.z0)
+    allowed = error * problem.reference.growth
+    assert allowed < 1e-8
+    assert (gap <= allowed * np.abs(problem.z0).max()).all()
+
+
 def test_figure_eight_closes() -> None:
     problem = systems.three_bodies()
     np.testing.assert_allclose(problem.reference.state, problem.z0, rtol=0, atol=1e-13)

@@ -62,7 +62,7 @@ ALL = CATALOGUE | VARIANTS
 _INEXACT = {
     *("arenstorf", "argon_crystal"),
     *("double_pendulum", "driven_duffing", "fermi_pasta_ulam_tsingou", "henon_heiles"),
-    *("kovalevskaya_top", "lennard_jones", "pleiades", "restricted_three_bodies"),
+    *("halo_orbits", "kovalevskaya_top", "lennard_jones", "pleiades", "restricted_three_bodies"),
     *("spring_pendulum", "stormer", "swinging_atwood", "three_bodies"),
 }
 _LARGE = {"argon_crystal", "pleiades"}
@@ -96,7 +96,7 @@ def test_lists_of_names_are_complete() -> None:
     assert {name for name in ALL if made(name).exact} == set(EXACT)
     assert {name for name in ALL if made(name).conserved} == set(CONSERVING)
     periodic = {name for name in CATALOGUE if made(name).period is not None}
-    assert periodic == {*PERIODIC[:-1], "three_bodies", "arenstorf"}
+    assert periodic == {*PERIODIC[:-1], "three_bodies", "arenstorf", "halo_orbits"}
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
@@ -394,6 +394,7 @@ def test_spring_pendulum_is_in_resonance() -> None:
         lambda: systems.restricted_three_bodies(0.51),
         lambda: systems.restricted_three_bodies(math.nan),
         lambda: systems.arenstorf("four loops"),
+        lambda: systems.halo_orbits("L6"),
         lambda: systems.penning_trap(2.0, 1.5),
         lambda: systems.penning_trap(-5.0, 2.0),
         lambda: systems.penning_trap(math.nan),

@@ -1,0 +1,170 @@
+"""Families that leave at bifurcations, against published ones and other integrators."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import hamsym
+
+HENON_HEILES = hamsym.Hamiltonian(
+    "(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2 + x**2*y - y**3/3", q=["x", "y"], p=["p_x", "p_y"]
+)
+REVERSED = {"y": "-y", "p_x": "-p_x", "p_z": "-p_z"}
+
+
+def closure(orbit):
+    """Distance of the end from the start, by Dormand and Prince's method of order 8."""
+    system = orbit.H.compile("numpy")
+
+    def rates(t, z):
+        return system.vector_field(*system.arguments(z, t))
+
+    path = solve_ivp(rates, (0, orbit.period), orbit.z0, method="DOP853", rtol=1e-13, atol=1e-14)
+    return np.abs(path.y[:, -1] - orbit.z0).max()
+
+
+def distance(orbit, other):
+    """The largest distance of the points of an orbit from another one."""
+    points = orbit(np.linspace(0, orbit.period, 50))
+    path = other(np.linspace(0, other.period, 40_000))
+    return max(np.linalg.norm(point - path, axis=-1).min() for point in points)
+
+
+@pytest.fixture(scope="module")
+def along_y():
+    z0 = HENON_HEILES.state_at_energy(0.13, {"x": 0, "y": 0, "p_x": 0})
+    return hamsym.periodic_orbit(HENON_HEILES, z0).family(energy=0.165)
+
+
+def lyapunov_orbit(kind):
+    """A small planar orbit about a Lagrange point of the earth and the moon."""
+    H = hamsym.systems.halo_orbits().H
+    mu = H.parameters["mu"]
+    guess = {"L1": 0.83691513, "L2": 1.15568217}[kind]
+    c = (1 - mu) / (guess + mu) ** 3 + mu / abs(guess - 1 + mu) ** 3
+    rate = np.sqrt((2 - c + np.sqrt(9 * c * c - 8 * c)) / 2)
+    x, velocity = guess - 0.005, 0.005 * (rate**2 + 1 + 2 * c) / 2
+    start = ([x, 0, 0, 0, x + velocity, 0], 2 * np.pi / rate)
+    return hamsym.periodic_orbit(H, start, symmetry=REVERSED)
+
+
+@pytest.mark.parametrize("k", range(4))
+def test_families_leave_the_orbit_along_y(along_y, k):
+    # Brack 2001: period doublings, and pairs of loops that leave with the same period
+    found = along_y.branches[k]
+    orbit = along_y.branch(k, energy=found.orbit.energy + 0.0005)[-1]
+    turns = 2 if found.kind == "period doubling" else 1
+    assert orbit.success
+    assert orbit.repetitions == 1
+    assert orbit.energy == pytest.approx(found.orbit.energy + 0.0005, abs=1e-12)
+    assert orbit.period == pytest.approx(turns * found.orbit.period, rel=1e-2)
+    assert closure(orbit) < 1e-9
+    same = along_y[found.after].family(energy=orbit.energy)[-1]
+    assert distance(orbit, same) > 1e-3
+
+
+def test_sides_of_a_branch_are_images_of_each_other(along_y):
+    energy = along_y.branches[2].orbit.energy + 0.0005
+    one, other = (along_y.branch(2, side=side, energy=energy)[-1] for side in (1, -1))
+    assert distance(one, other) > 1e-3  # the same curve of states in another sense
+    mirrored = hamsym.periodic_orbit(
+        HENON_HEILES, (one.z0 * np.array([-1, 1, -1, 1]), one.period), energy=energy
+    )
+    assert distance(mirrored, other) < 2e-4
+
+
+def test_halo_family_leaves_the_planar_one_where_published():
+    # Farquhar & Kamel 1973, Howell 1984: near C = 3.1743 at L1 of the earth and the moon
+    family = lyapunov_orbit("L1").family(energy=-1.58)
+    (found,) = family.branches
+    assert found.kind == "branching"
+    assert -2 * found.orbit.energy == pytest.approx(3.17435, abs=5e-6)
+    energy = found.orbit.energy + 0.002
+    sides = [family.branch(0, side=side, energy=energy)[-1] for side in (1, -1)]
+    assert sides[0].z0[2] == pytest.approx(-sides[1].z0[2], rel=1e-6)
+    assert abs(sides[0].z0[2]) > 0.01
+    assert all(closure(orbit) < 1e-9 for orbit in sides)
+
+
+@pytest.mark.slow
+def test_branches_lead_to_published_halo_orbits():
+    for point, start, below in (("L1", "L1", -1.58), ("L2", "L2, near the moon", -1.55)):
+        problem = hamsym.systems.halo_orbits(start=start)
+        energy = float(problem.H.compile("numpy").energy(np.array(problem.z0)))
+        target = {"energy": energy} if point == "L1" else {"period": problem.period}
+        family = lyapunov_orbit(point).family(energy=below)
+        for side in (1, -1):
+            orbit = family.branch(0, side=side, max_orbits=400, **target)[-1]
+            if orbit.z0[2] * problem.z0[2] < 0:
+                continue
+            assert orbit.period == pytest.approx(problem.period, rel=1e-12)
+            np.testing.assert_allclose(orbit.z0, problem.z0, atol=2e-12)
+            break
+        else:
+            pytest.fail("no side leads to the published orbit")
+
+
+def test_halo_orbit_is_found_without_its_symmetry():
+    family = lyapunov_orbit("L1").family(energy=-1.586)
+    orbit = family.branches[0].orbit
+    plain = hamsym.periodic_orbit(orbit.H, (orbit.z0, orbit.period), energy=orbit.energy - 1e-4)
+    family = plain.family(energy=-1.586)
+    assert [found.kind for found in family.branches] == ["branching"]
+    halo = family.branch(0, energy=-1.5865)[-1]
+    assert np.ptp(halo(np.linspace(0, halo.period, 100))[:, 2]) > 0.01
+    assert closure(halo) < 1e-9
+
+
+@pytest.fixture(scope="module")
+def along_x():
+    """Orbits on the x axis, which the parameter does not change; y obeys Lame's equation."""
+    H = hamsym.Hamiltonian(
+        "(p_x**2 + p_y**2)/2 + x**4/4 + y**4/4 + e*x**2*y**2/2",
+        q=["x", "y"],
+        p=["p_x", "p_y"],
+        parameters={"e": 4.0},
+    )
+    turned = {"x": "-x", "y": "-y", "p_x": "-p_x", "p_y": "-p_y"}
+    return hamsym.periodic_orbit(H, [1, 0, 0, 0], symmetry=turned).family(parameter=("e", 12.0))
+
+
+def test_symmetry_breaks_where_the_equation_of_lame_says(along_x):
+    # bands end at e = n (n + 1)/2
+    assert along_x.success
+    assert [found.kind for found in along_x.branches] == ["symmetry breaking"] * 2
+    ends = [found.orbit.H.parameters["e"] for found in along_x.branches]
+    assert ends == pytest.approx([6, 10], abs=1e-7)
+
+
+@pytest.mark.parametrize("k", [0, 1])
+def test_orbits_beyond_a_break_of_symmetry_have_none(along_x, k):
+    e = (6.1, 10.1)[k]
+    family = along_x.branch(k, parameter=("e", e))
+    orbit = family[-1]
+    assert family.success
+    assert orbit.H.parameters["e"] == e
+    assert orbit.energy == pytest.approx(0.25, abs=1e-12)
+    assert np.abs(orbit(orbit.period / 2) + orbit.z0).max() > 0.01
+    assert closure(orbit) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("k", "options", "message"),
+    [
+        (4, {}, "k must be a number from 0 to 3"),
+        (-1, {}, "k must be a number from 0 to 3"),
+        (1.0, {}, "k must be a number from 0 to 3"),
+        (0, {"side": 2}, "side must be 1 or -1"),
+        (0, {}, "give one of energy, period and parameter"),
+    ],
+)
+def test_arguments_that_name_no_branch_are_refused(along_y, k, options, message):
+    with pytest.raises(hamsym.InputError, match=message):
+        along_y.branch(k, **options)
+
+
+def test_family_without_bifurcations_has_no_branches():
+    family = hamsym.periodic_orbit("p**2/2 + x**2/2 + x**4/4", [1.0, 0.0]).family(energy=1.0)
+    assert family.branches == ()
+    with pytest.raises(hamsym.InputError, match=r"family\.branches is empty"):
+        family.branch(0, energy=2.0)
