@@ -1,4 +1,4 @@
-"""Periodic orbits: the figure eight, a Lyapunov family, bifurcations of Henon and Heiles.
+"""Periodic orbits: figure eight, Lyapunov and halo families, bifurcations of Henon and Heiles.
 
 Run `python examples/periodic_orbits.py`; `--out` sets the output folder.
 """
@@ -38,14 +38,10 @@ def figure_eight():
 
 def lyapunov_family():
     """Planar orbits around the libration point L1 of the Earth and the Moon."""
-    H = hamsym.Hamiltonian(
-        "(p_x**2 + p_y**2)/2 + y*p_x - x*p_y - (1 - mu)/sqrt((x + mu)**2 + y**2) "
-        "- mu/sqrt((x + mu - 1)**2 + y**2)",
-        parameters={"mu": 0.01215058560962404},
-    )
-    guess = {"x": 0.8319, "y": 0, "p_x": 0, "p_y": 0.8738}
-    orbit = hamsym.periodic_orbit(H, (guess, 2.7), symmetry={"y": "-y", "p_x": "-p_x"})
-    return orbit.family(energy=-1.52)
+    H = hamsym.systems.halo_orbits().H
+    guess = {"x": 0.8319, "y": 0, "z": 0, "p_x": 0, "p_y": 0.8738, "p_z": 0}
+    mirror = {"y": "-y", "p_x": "-p_x", "p_z": "-p_z"}
+    return hamsym.periodic_orbit(H, (guess, 2.7), symmetry=mirror).family(energy=-1.52)
 
 
 def straight_family():
@@ -74,6 +70,7 @@ def main(out):
     middle.annotate("Moon", (1 - mu, 0.012), ha="center")
     middle.set(title="Lyapunov orbits around L1", xlabel="x", ylabel="y")
     middle.set_aspect("equal", adjustable="datalim")
+    halo = family.branch(0, energy=-1.51).plot("x", "y", "z")
     family = straight_family()
     places = [*family, *(found.orbit for found in family.bifurcations)]
     places.sort(key=lambda orbit: orbit.energy)
@@ -93,8 +90,9 @@ def main(out):
     for axis in (left, middle, right):
         axis.grid(alpha=0.25)
     out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out / "periodic-orbits.png", dpi=110)
-    print(f"wrote {out / 'periodic-orbits.png'}")
+    for name, drawn in (("periodic-orbits", figure), ("halo-orbits", halo)):
+        drawn.savefig(out / f"{name}.png", dpi=110)
+        print(f"wrote {out / name}.png")
 
 
 if __name__ == "__main__":

@@ -152,7 +152,7 @@ class OrbitFamily(Drawn, Saved, Sequence[PeriodicOrbit]):
         ['period doubling']
         >>> doubled = family.branch(0, energy=0.14)
         >>> doubled.success, round(doubled[-1].period / family[-1].period, 2)
-        (True, 2.0)
+        (True, 1.96)
         """
         if not (isinstance(k, int) and 0 <= k < len(self.branches)):
             count = len(self.branches)

@@ -230,7 +230,7 @@ def halo_orbits(start: str = "L2, near the moon") -> Problem:
     --------
     >>> problem = halo_orbits(start="L1")
     >>> problem.period
-    3.1233143922761588
+    3.123314392276159
     """
     check_start(start, _HALO)
     x, z, velocity, period = _HALO[start]
