@@ -417,7 +417,7 @@ def test_command_line_takes_forces(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("force", "message"),
     [
-        ("-c*p", "'-c*p' in --force is not NAME=FORMULA; write e.g. p=-c*p"),
+        ("-c*p", "'-c*p' is not NAME=FORMULA; write e.g. p=-c*p"),
         ("x=-c*p", "'x' is a coordinate, and a force changes a momentum"),
         ("p=p.real", "column"),
     ],

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hamsym.cli.command import Command, Report, completing
+from hamsym.cli.command import Report, command, completing
 from hamsym.errors import InputError
 from hamsym.support.suggestions import did_you_mean
 from hamsym.support.text_tables import table, wrapped
@@ -27,10 +27,10 @@ def _systems() -> list[str]:
     return sorted(CATALOGUE)
 
 
-@click.command(
-    cls=Command,
-    short_help="List the catalogue of systems, or show one.",
-    examples=["hamsym systems", 'hamsym systems henon_heiles --start "E = 1/6, chaotic"'],
+@command(
+    "List the catalogue of systems, or show one.",
+    "hamsym systems",
+    'hamsym systems henon_heiles --start "E = 1/6, chaotic"',
 )
 @click.argument("name", required=False, shell_complete=completing(_systems))
 @click.option("--start", metavar="START", help="One of the system's named initial states.")

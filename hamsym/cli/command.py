@@ -63,6 +63,18 @@ class Report:
     files: list[str] = field(default_factory=list)
 
 
+def command(
+    short_help: str, *examples: str, cls: type[Command] | None = None, epilog: str | None = None
+) -> Callable[[Callable[..., Any]], click.Command]:
+    """Return a decorator that makes a :class:`Command` of a function, whose docstring is its help.
+
+    - short_help: For the list of commands.
+    - examples: Command lines.
+    """
+    settings: dict[str, Any] = {"examples": examples, "epilog": epilog}
+    return click.command(cls=cls or Command, short_help=short_help, **settings)
+
+
 def report_of(result: Any, rows: int | None = ROWS, success: bool | None = None) -> Report:
     """Return the report of a result: its facts, as text and as data.
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hamsym.cli.command import Choice, Command, Report, completing, report_of
+from hamsym.cli.command import Choice, Report, command, completing, report_of
 from hamsym.cli.options import formula_options, hamiltonian_options, rows_option
-from hamsym.cli.texts import listed
+from hamsym.cli.texts import NAMES
 from hamsym.codegen.backends import BACKENDS, FUNCTIONS
 from hamsym.errors import InputError
 from hamsym.support.atomic import write_atomically
@@ -21,17 +21,14 @@ if TYPE_CHECKING:
     from hamsym.symbolic.lagrangian import Lagrangian
 
 
-@click.command(
-    cls=Command,
-    short_help="Show the equations of motion and the Hessian.",
-    examples=[
-        'hamsym derive "p**2/(2*m) + k*x**2/2" --param k=2',
-        'hamsym derive --lagrangian "m*(rdot**2 + r**2*dphi**2)/2 + k/r"',
-    ],
+@command(
+    "Show the equations of motion and the Hessian.",
+    'hamsym derive "p**2/(2*m) + k*x**2/2" --param k=2',
+    'hamsym derive --lagrangian "m*(rdot**2 + r**2*dphi**2)/2 + k/r"',
 )
 @formula_options
 @click.option("--lagrangian", is_flag=True, help="The formula is a Lagrangian, e.g. in x and xdot.")
-@click.option("--velocities", metavar="NAMES", help="Velocities of --q, for other names than xdot.")
+@click.option("--velocities", type=NAMES, help="Velocities of --q, for other names than xdot.")
 @click.option("--latex", "typeset", is_flag=True, help="Print an align environment of LaTeX.")
 def derive(
     expression: str,
@@ -40,7 +37,7 @@ def derive(
     parameters: Mapping[str, float] | None,
     forces: Mapping[str, str] | None,
     lagrangian: bool,
-    velocities: str | None,
+    velocities: Sequence[str] | None,
     typeset: bool,
 ) -> Report:
     """Show H, its equations of motion, its Hessian and properties that follow from them."""
@@ -49,8 +46,7 @@ def derive(
 
     read = None
     if lagrangian:
-        rates = None if velocities is None else listed(velocities)
-        read = read_lagrangian(expression, q, rates, p, parameters)
+        read = read_lagrangian(expression, q, velocities, p, parameters)
         H = Hamiltonian(
             read.hamiltonian, q=read.q, p=read.p, parameters=read.parameters, forces=forces
         )
@@ -148,13 +144,10 @@ def _hessian(H: Hamiltonian) -> list[str]:
     ]
 
 
-@click.command(
-    cls=Command,
-    short_help="Print the generated code.",
-    examples=[
-        'hamsym source "p**2/2 + x**2/2 + x**4/4" --backend numpy --part vector_field',
-        'hamsym source "p**2/2 - k*cos(x)" --backend c -o pendulum.c',
-    ],
+@command(
+    "Print the generated code.",
+    'hamsym source "p**2/2 + x**2/2 + x**4/4" --backend numpy --part vector_field',
+    'hamsym source "p**2/2 - k*cos(x)" --backend c -o pendulum.c',
 )
 @hamiltonian_options
 @click.option("--backend", type=Choice(BACKENDS), default="torch", show_default=True)
@@ -175,13 +168,10 @@ def source(H: Hamiltonian, backend: str, part: str | None, output: str | None) -
     return Report("", values, files=[output])
 
 
-@click.command(
-    cls=Command,
-    short_help="Find conserved functions.",
-    examples=[
-        'hamsym invariants "(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)" --degree 3',
-        'hamsym invariants "p_r**2/2 + p_phi**2/(2*r**2) - 1/r" --basis "cos(phi)"',
-    ],
+@command(
+    "Find conserved functions.",
+    'hamsym invariants "(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)" --degree 3',
+    'hamsym invariants "p_r**2/2 + p_phi**2/(2*r**2) - 1/r" --basis "cos(phi)"',
 )
 @hamiltonian_options
 @click.option("--degree", type=int, default=2, show_default=True, help="Largest total degree.")

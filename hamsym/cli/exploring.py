@@ -6,13 +6,13 @@ import json
 
 import click
 
-from hamsym.cli.command import Command
+from hamsym.cli.command import command
 
 
-@click.command(
-    cls=Command,
-    short_help="Serve a page: type H, move sliders, see what follows.",
-    examples=["hamsym explore", 'hamsym explore "p**2/2 - cos(x)" --port 8123 --no-browser'],
+@command(
+    "Serve a page: type H, move sliders, see what follows.",
+    "hamsym explore",
+    'hamsym explore "p**2/2 - cos(x)" --port 8123 --no-browser',
 )
 @click.argument("formula", metavar="[H]", default="")
 @click.option("--port", default=0, show_default="a free one", help="Port on 127.0.0.1.")

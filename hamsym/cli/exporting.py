@@ -7,22 +7,19 @@ from typing import Any
 
 import click
 
-from hamsym.cli.command import Command, Report
+from hamsym.cli.command import Report, command
 from hamsym.cli.output import CERTIFICATE, check_directory
-from hamsym.cli.texts import number, ranges, saved_solution
+from hamsym.cli.texts import intervals, joined, saved_solution
 from hamsym.codegen.backends import BACKENDS
 from hamsym.errors import InputError
 
 _HIDDEN = "balls"  # code of proofs, which nobody runs by hand
 
 
-@click.command(
-    cls=Command,
-    short_help="Write a saved solution as code or as a page without hamsym.",
-    examples=[
-        "hamsym export orbit.hamsym -o orbit.py",
-        "hamsym export orbit.hamsym -o lesson.html --title 'An oscillator'",
-    ],
+@command(
+    "Write a saved solution as code or as a page without hamsym.",
+    "hamsym export orbit.hamsym -o orbit.py",
+    "hamsym export orbit.hamsym -o lesson.html --title 'An oscillator'",
 )
 @click.argument("file", type=click.Path())
 @click.option(
@@ -38,23 +35,15 @@ _HIDDEN = "balls"  # code of proofs, which nobody runs by hand
 )
 @click.option("--allow-failed", is_flag=True, help="Export a solution that did not converge.")
 @click.option(
-    "--slider",
-    "sliders",
+    *("--slider", "parameters"),
     multiple=True,
+    callback=joined(intervals),
     metavar="NAME=LOW:HIGH",
     help="A parameter with a slider on a page  [all]",
 )
 @click.option("--title", help="Heading of a page.")
-@click.option("--text", help="Text of a page; empty lines separate paragraphs.")
-def export(
-    file: str,
-    output: str,
-    certificate: str | None,
-    allow_failed: bool,
-    sliders: tuple[str, ...],
-    title: str | None,
-    text: str | None,
-) -> Report:
+@click.option("--text", default="", help="Text of a page; empty lines separate paragraphs.")
+def export(file: str, output: str, certificate: str | None, **options: Any) -> Report:
     """Write a saved solution as Python, JSON or C code, or as a page, that needs no hamsym.
 
     FILE is a solution saved by `hamsym solve -o FILE`. Code says what it is, its error and its
@@ -62,22 +51,13 @@ def export(
     lesson: its motion is computed in the browser, with sliders for the start and parameters.
     """
     check_export(output)
-    named = ranges(sliders, "--slider")
-    ends = {name: (number(low), number(high)) for name, (low, high) in named.items()}
     solution = saved_solution(file)
     path = Path(certificate or f"{file}{CERTIFICATE}")
     proof = None
     is_page = output.lower().endswith(".html")
     if certificate is not None or (path.exists() and not is_page):
         proof = _certificate(path, solution)
-    solution.export(
-        output,
-        certificate=proof,
-        allow_failed=allow_failed,
-        parameters=ends or None,
-        title=title,
-        text=text or "",
-    )
+    solution.export(output, certificate=proof, **options)
     size = Path(output).stat().st_size
     return Report(f"wrote {output} ({_size(size)})", {"files": [output], "bytes": size})
 
@@ -113,13 +93,10 @@ def _size(count: int) -> str:
     return f"{size:.3g} {units[0]}"
 
 
-@click.command(
-    cls=Command,
-    short_help="Write a report about a saved solution.",
-    examples=[
-        "hamsym report orbit.hamsym -o report.html",
-        "hamsym report orbit.hamsym --certify --no-compare",
-    ],
+@command(
+    "Write a report about a saved solution.",
+    "hamsym report orbit.hamsym -o report.html",
+    "hamsym report orbit.hamsym --certify --no-compare",
 )
 @click.argument("file", type=click.Path())
 @click.option("-o", "--output", type=click.Path(), metavar="HTML", help="[FILE with .html]")

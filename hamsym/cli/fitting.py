@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hamsym.cli.command import Command, Report, report_of
+from hamsym.cli.command import Report, command, report_of
 from hamsym.cli.options import hamiltonian_options, output_options, rows_option
-from hamsym.cli.texts import assignments, listed, number, ranges
+from hamsym.cli.texts import TIME, VALUES, Parsed, number, ranges, state
 from hamsym.errors import InputError
 from hamsym.support.text_tables import ROWS
 
@@ -19,22 +19,23 @@ if TYPE_CHECKING:
     from hamsym.hamiltonian import Hamiltonian
 
 
-@click.command(
-    cls=Command,
-    short_help="Fit parameters and starts to data.",
-    examples=[
-        'hamsym fit "p**2/2 - g*cos(theta)" swing.csv --free g=1.4,theta=0.8,p=0 --sigma 0.02',
-        'hamsym fit "p**2/2 - g*cos(theta)" swing.csv --free g=1 --z0 theta=0.9,p=0 --plot fit.png',
-    ],
+def _sigma(text: str) -> Any:
+    return state(text) if "=" in text else number(text)
+
+
+@command(
+    "Fit parameters and starts to data.",
+    'hamsym fit "p**2/2 - g*cos(theta)" swing.csv --free g=1.4,theta=0.8,p=0 --sigma 0.02',
+    'hamsym fit "p**2/2 - g*cos(theta)" swing.csv --free g=1 --z0 theta=0.9,p=0 --plot fit.png',
 )
 @hamiltonian_options
 @click.argument("file", type=click.Path(), metavar="DATA")
-@click.option("--free", required=True, metavar="GUESSES", help="For example g=1.4,theta=0.8.")
-@click.option("--z0", "start", metavar="STATE", help="Components of the start that are not free.")
-@click.option("--t-start", default="0", metavar="TIME", show_default=True)
-@click.option("--t-end", metavar="TIME", help="[the last time of the data]")
-@click.option("--sigma", metavar="NUMBERS", help="0.02, or x=0.02,p=0.1  [estimated]")
-@click.option("--bounds", metavar="RANGES", help="For example g=0:10,p=:1.")
+@click.option("--free", type=VALUES, required=True, metavar="GUESSES", help="E.g. g=1.4,theta=0.8.")
+@click.option("--z0", type=VALUES, help="Components of the start that are not free.")
+@click.option("--t-start", type=TIME, default="0", show_default=True)
+@click.option("--t-end", type=TIME, help="[the last time of the data]")
+@click.option("--sigma", type=Parsed("numbers", _sigma), help="0.02, or x=0.02,p=0.1  [estimated]")
+@click.option("--bounds", type=Parsed("ranges", ranges), help="For example g=0:10,p=:1.")
 @click.option("--starts", default=1, show_default=True, help="Number of first guesses.")
 @click.option("--seed", default=0, show_default=True, help="Seed of the further guesses.")
 @click.option("--confidence", default=0.95, show_default=True, help="Of the intervals.")
@@ -44,12 +45,8 @@ if TYPE_CHECKING:
 def fit(
     H: Hamiltonian,
     file: str,
-    free: str,
-    start: str | None,
-    t_start: str,
-    t_end: str | None,
-    sigma: str | None,
-    bounds: str | None,
+    t_start: float,
+    t_end: float | None,
     rows: int | None,
     **options: Any,
 ) -> tuple[Any, Report, list[tuple[str, Any]], dict[str, Any]]:
@@ -66,18 +63,8 @@ def fit(
     if "t" not in columns:
         raise InputError(f"'{file}' has no column t; name the column of the times t")
     t = columns.pop("t")
-    last = max(t, key=lambda time: abs(time - number(t_start)))
-    found = run(
-        H,
-        t,
-        columns,
-        free=assignments(free, "--free"),
-        span=(number(t_start), last if t_end is None else number(t_end)),
-        sigma=None if sigma is None else _sigma(sigma),
-        z0=None if start is None else assignments(start, "--z0"),
-        bounds=None if bounds is None else _bounds(bounds),
-        **options,
-    )
+    last = max(t, key=lambda time: abs(time - t_start))
+    found = run(H, t, columns, span=(t_start, last if t_end is None else t_end), **options)
     table: list[tuple[str, Any]] = [("t", found.t)]
     for label, data in found.data.items():
         residual = found.residuals[label]
@@ -119,15 +106,3 @@ def read_columns(path: str) -> dict[str, list[float]]:
                     "value empty"
                 ) from None
     return columns
-
-
-def _sigma(text: str) -> float | dict[str, float]:
-    return assignments(text, "--sigma") if "=" in text else number(text)
-
-
-def _bounds(text: str) -> dict[str, tuple[float | None, float | None]]:
-    """Return the bounds of NAME=LOW:HIGH parts between commas; either end may be empty."""
-    return {
-        name: (number(low) if low else None, number(high) if high else None)
-        for name, (low, high) in ranges(listed(text), "--bounds").items()
-    }

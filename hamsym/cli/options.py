@@ -10,7 +10,7 @@ import click
 
 from hamsym.cli.command import Report, completing
 from hamsym.cli.output import check_figure, check_table, save_figure, write_table
-from hamsym.cli.texts import assignments, formulas, listed, number, state
+from hamsym.cli.texts import NAMES, STATE, TIME, assignments, formulas, joined
 from hamsym.errors import InputError
 from hamsym.support.suggestions import similar
 from hamsym.support.text_tables import wrapped as wrapped_text
@@ -22,41 +22,35 @@ if TYPE_CHECKING:
 Command = Callable[..., Any]
 
 
+def _with(command: Command, *options: Command) -> Command:
+    """Add options to a command in this order."""
+    for add in reversed(options):
+        command = add(command)
+    return command
+
+
 def formula_options(command: Command) -> Command:
     """Add the formula with its names and parameters; the command takes them as keywords."""
-
-    @click.argument("formula", metavar="H")
-    @click.option("--q", "coordinates", metavar="NAMES", help="Coordinates, e.g. x,y.")
-    @click.option("--p", "momenta", metavar="NAMES", help="Their momenta, in the same order.")
-    @click.option(
-        "--param", "-P", "parameters", multiple=True, metavar="NAME=VALUE", help="A parameter."
+    return _with(
+        command,
+        click.argument("expression", metavar="H"),
+        click.option("--q", type=NAMES, help="Coordinates, e.g. x,y."),
+        click.option("--p", type=NAMES, help="Their momenta, in the same order."),
+        click.option(
+            *("--param", "-P", "parameters"),
+            multiple=True,
+            callback=joined(assignments),
+            metavar="NAME=VALUE",
+            help="A parameter.",
+        ),
+        click.option(
+            *("--force", "forces"),
+            multiple=True,
+            callback=joined(formulas),
+            metavar="MOMENTUM=FORMULA",
+            help="A force beyond those of H, e.g. p=-c*p.",
+        ),
     )
-    @click.option(
-        "--force",
-        "forces",
-        multiple=True,
-        metavar="MOMENTUM=FORMULA",
-        help="A force beyond those of H, e.g. p=-c*p.",
-    )
-    @functools.wraps(command)
-    def wrapped(
-        formula: str,
-        coordinates: str | None,
-        momenta: str | None,
-        parameters: tuple[str, ...],
-        forces: tuple[str, ...],
-        **options: Any,
-    ) -> Any:
-        return command(
-            expression=formula,
-            q=None if coordinates is None else listed(coordinates),
-            p=None if momenta is None else listed(momenta),
-            parameters=assignments(",".join(parameters), "--param") if parameters else None,
-            forces=formulas(forces, "--force") if forces else None,
-            **options,
-        )
-
-    return wrapped
 
 
 def hamiltonian_options(command: Command) -> Command:
@@ -109,10 +103,10 @@ def _usual() -> Problem | None:
     return found
 
 
-def _given_start(H: Hamiltonian, start: str | None) -> Any:
+def _given_start(H: Hamiltonian, start: Any) -> Any:
     """Return the state of --z0, that of the catalogue if it is not given."""
     if start is not None:
-        return state(start)
+        return start
     if (problem := _usual()) is not None:
         return problem.z0
     example = ",".join(f"{name}={int(k < H.dof)}" for k, name in enumerate(H.names))
@@ -122,17 +116,15 @@ def _given_start(H: Hamiltonian, start: str | None) -> Any:
 def _time_options(command: Command) -> Command:
     """Add --t-start and --t-end; the command takes a span."""
 
-    @click.option("--t-start", default="0", metavar="TIME", show_default=True)
-    @click.option("--t-end", metavar="TIME", help='For example 20 or "4*pi".  [required]')
+    @click.option("--t-start", type=TIME, default="0", show_default=True)
+    @click.option("--t-end", type=TIME, help='For example 20 or "4*pi".  [required]')
     @functools.wraps(command)
-    def wrapped(*arguments: Any, t_start: str, t_end: str | None, **options: Any) -> Any:
-        if t_end is not None:
-            last = number(t_end)
-        elif (problem := _usual()) is not None:
-            last = problem.span[1]
-        else:
+    def wrapped(*arguments: Any, t_start: float, t_end: float | None, **options: Any) -> Any:
+        if t_end is None and (problem := _usual()) is not None:
+            t_end = problem.span[1]
+        if t_end is None:
             raise InputError("--t-end is missing; give the last time, e.g. --t-end 20")
-        return command(*arguments, span=(number(t_start), last), **options)
+        return command(*arguments, span=(t_start, t_end), **options)
 
     return wrapped
 
@@ -140,14 +132,10 @@ def _time_options(command: Command) -> Command:
 def span_options(command: Command) -> Command:
     """Add one initial state and the times; the command takes a state and a span."""
 
-    @click.option(
-        "--z0", "start", metavar="STATE", help="For example x=1.3,p=1 or 1.3,1.  [required]"
-    )
+    @click.option("--z0", "start", type=STATE, help="For example x=1.3,p=1 or 1.3,1.  [required]")
     @_time_options
     @functools.wraps(command)
-    def wrapped(
-        H: Hamiltonian, start: str | None, span: tuple[float, float], **options: Any
-    ) -> Any:
+    def wrapped(H: Hamiltonian, start: Any, span: tuple[float, float], **options: Any) -> Any:
         return command(H, _given_start(H, start), span, **options)
 
     return wrapped
@@ -157,23 +145,20 @@ def starts_options(command: Command) -> Command:
     """Add initial states and the times; the command takes states and a span."""
 
     @click.option(
-        "--z0",
-        "starts",
+        *("--z0", "starts"),
+        type=STATE,
         multiple=True,
-        metavar="STATE",
         help="For example x=1.3,p=1; repeat it for further trajectories.  [required]",
     )
     @_time_options
     @functools.wraps(command)
     def wrapped(
-        H: Hamiltonian, starts: tuple[str, ...], span: tuple[float, float], **options: Any
+        H: Hamiltonian, starts: tuple[Any, ...], span: tuple[float, float], **options: Any
     ) -> Any:
         energy = options.pop("energy", None)
         states: list[Any] = [_given_start(H, start) for start in starts or (None,)]
         if energy is not None:
-            states = [
-                H.state_at_energy(number(energy), _by_name(given), span[0]) for given in states
-            ]
+            states = [H.state_at_energy(energy, _by_name(given), span[0]) for given in states]
         import numpy as np
 
         arrays = [H.state_from(given) for given in states]
@@ -190,20 +175,17 @@ def _by_name(given: Any) -> dict[str, float]:
 
 def integrator_options(command: Command) -> Command:
     """Add the time-stepping method, and the number of steps or their size as a formula."""
-
-    @click.option(
-        "--method",
-        metavar="NAME",
-        help="[blanes_moan6, or gauss6 if not separable]",
-        shell_complete=completing(integrators),
+    return _with(
+        command,
+        click.option(
+            "--method",
+            metavar="NAME",
+            help="[blanes_moan6, or gauss6 if not separable]",
+            shell_complete=completing(integrators),
+        ),
+        click.option("--steps", type=int, help="Number of equal steps."),
+        click.option("--dt", type=TIME, help="Largest step, in place of --steps."),
     )
-    @click.option("--steps", type=int, help="Number of equal steps.")
-    @click.option("--dt", metavar="TIME", help="Largest step, in place of --steps.")
-    @functools.wraps(command)
-    def wrapped(*arguments: Any, dt: str | None, **options: Any) -> Any:
-        return command(*arguments, dt=None if dt is None else number(dt), **options)
-
-    return wrapped
 
 
 def integrators() -> list[str]:
@@ -235,14 +217,13 @@ def figure_options(command: Command) -> Command:
 
     @click.option("--plot", "figure", type=click.Path(), metavar="FILE", help="Draw a figure.")
     @click.option(
-        "--draw",
-        "drawn",
-        metavar="NAMES",
+        *("--draw", "names"),
+        type=NAMES,
+        default="",
         help='What --plot draws: components, formulas or a panel, e.g. "x, p_x**2/2".',
     )
     @functools.wraps(command)
-    def wrapped(*arguments: Any, figure: str | None, drawn: str | None, **options: Any) -> Any:
-        names = listed(drawn or "")
+    def wrapped(*arguments: Any, figure: str | None, names: list[str], **options: Any) -> Any:
         if names and figure is None:
             raise InputError("--draw says what a figure shows; give its file too, --plot FILE")
         check_figure(figure)

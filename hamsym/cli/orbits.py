@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hamsym.cli.command import Command, Report, report_of
+from hamsym.cli.command import Report, command, report_of
 from hamsym.cli.options import Draw, figure_options, hamiltonian_options, rows_option
-from hamsym.cli.texts import number, state, texts_by_name
+from hamsym.cli.texts import NUMBER, STATE, TIME, Parsed, texts_by_name
 from hamsym.support.text_tables import ROWS
 
 if TYPE_CHECKING:
@@ -17,65 +17,49 @@ if TYPE_CHECKING:
 _FURTHER = ("family", "proven")
 
 
-@click.command(
-    cls=Command,
-    short_help="Find a periodic orbit, its stability and family.",
-    examples=[
-        'hamsym orbit "p**2/2 - cos(x)" --z0 x=2,p=0 --symmetry p=-p',
-        'hamsym orbit "p**2/2 + x**2/2 + x**4/4" --z0 1,0 --to-energy 2 --prove',
-    ],
+@command(
+    "Find a periodic orbit, its stability and family.",
+    'hamsym orbit "p**2/2 - cos(x)" --z0 x=2,p=0 --symmetry p=-p',
+    'hamsym orbit "p**2/2 + x**2/2 + x**4/4" --z0 1,0 --to-energy 2 --prove',
 )
 @hamiltonian_options
-@click.option(
-    "--z0", "start", required=True, metavar="STATE", help="A state near it, e.g. x=1.3,p=1."
-)
-@click.option("--near", metavar="PERIOD", help="Guess of the period; by default the first return.")
-@click.option("--energy", metavar="VALUE", help="Its energy; by default that of the state.")
+@click.option("--z0", "start", type=STATE, required=True, help="A state near it, e.g. x=1.3,p=1.")
+@click.option("--near", type=TIME, help="Guess of the period; by default the first return.")
+@click.option("--energy", type=NUMBER, help="Its energy; by default that of the state.")
 @click.option("--period", metavar="FORMULA", help="Its period, e.g. 2*pi/omega, and no energy.")
 @click.option(
-    "--symmetry",
-    "symmetries",
+    *("--symmetry", "maps"),
+    type=Parsed("map", texts_by_name),
     multiple=True,
     metavar="MAP",
     help="For example y=-y,p_x=-p_x; twice for a pair that reverses time.",
 )
-@click.option("--tol", metavar="VALUE", default="1e-10", show_default=True)
-@click.option("--to-energy", metavar="VALUE", help="Follow its family to this energy.")
+@click.option("--tol", type=NUMBER, default="1e-10", show_default=True)
+@click.option("--to-energy", type=NUMBER, help="Follow its family to this energy.")
 @click.option("--prove", is_flag=True, help="Prove that it exists, and its stability.")
 @figure_options
 @rows_option(ROWS)
 def orbit(
     H: Hamiltonian,
-    start: str,
-    near: str | None,
-    energy: str | None,
-    period: str | None,
-    symmetries: tuple[str, ...],
-    tol: str,
-    to_energy: str | None,
+    start: Any,
+    near: float | None,
+    maps: tuple[dict[str, str], ...],
+    to_energy: float | None,
     prove: bool,
     draw: Draw,
     rows: int | None,
+    **options: Any,
 ) -> Report:
     """Find a periodic orbit near a state; exit 1 if that failed."""
     import hamsym
 
-    guess: Any = state(start)
-    if near is not None:
-        guess = (guess, number(near))
-    maps: list[dict[str, str]] = [texts_by_name(text, "--symmetry") for text in symmetries]
-    found = hamsym.periodic_orbit(
-        H,
-        guess,
-        energy=None if energy is None else number(energy),
-        period=period,
-        symmetry=None if not maps else maps[0] if len(maps) == 1 else tuple(maps),
-        tol=number(tol),
-    )
+    guess = start if near is None else (start, near)
+    symmetry = maps if len(maps) > 1 else next(iter(maps), None)
+    found = hamsym.periodic_orbit(H, guess, symmetry=symmetry, **options)
     reports = {"orbit": report_of(found, rows)}
     family = None
     if found.success and to_energy is not None:
-        family = found.family(energy=number(to_energy))
+        family = found.family(energy=to_energy)
         reports["family"] = report_of(family, rows)
     if found.success and prove:
         reports["proven"] = report_of(found.certify(), rows)

@@ -10,15 +10,15 @@ from pathlib import Path
 
 import click
 
-from hamsym.cli.command import Command, Report
+from hamsym.cli.command import Report, command
 
 _EXPERIMENTS = ("oscillator", "oscillator-long", "henon-heiles", "henon-heiles-long", "accuracy")
 
 
-@click.command(
-    cls=Command,
-    short_help="Reproduce the experiments of the paper.",
-    examples=["hamsym reproduce --quick", "hamsym reproduce oscillator --seeds 5 --out results"],
+@command(
+    "Reproduce the experiments of the paper.",
+    "hamsym reproduce --quick",
+    "hamsym reproduce oscillator --seeds 5 --out results",
 )
 @click.argument(
     "experiments", nargs=-1, type=click.Choice([*_EXPERIMENTS, "all"]), metavar="[EXPERIMENTS]..."

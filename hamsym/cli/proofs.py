@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from hamsym.cli.command import Command, Report, report_of
+from hamsym.cli.command import Report, command, report_of
 from hamsym.cli.options import rows_option
 from hamsym.cli.output import CERTIFICATE, check_directory, write_certificate
 from hamsym.cli.texts import saved_solution
@@ -19,10 +19,10 @@ _time_limit = click.option(
 )
 
 
-@click.command(
-    cls=Command,
-    short_help="Prove a bound on the error of a saved solution.",
-    examples=["hamsym certify orbit.hamsym", "hamsym certify orbit.hamsym --bound 1e-8"],
+@command(
+    "Prove a bound on the error of a saved solution.",
+    "hamsym certify orbit.hamsym",
+    "hamsym certify orbit.hamsym --bound 1e-8",
 )
 @click.argument("file", type=click.Path())
 @click.option("--rtol", default=0.02, show_default=True, help="Relative width of the bounds.")
@@ -42,10 +42,10 @@ def certify(file: str, output: str | None, rows: int | None, **options: Any) -> 
     return replace(report_of(found, rows), files=[path])
 
 
-@click.command(
-    cls=Command,
-    short_help="Repeat the proof of a certificate.",
-    examples=["hamsym verify orbit.hamsym", "hamsym verify orbit.hamsym --checker independent"],
+@command(
+    "Repeat the proof of a certificate.",
+    "hamsym verify orbit.hamsym",
+    "hamsym verify orbit.hamsym --checker independent",
 )
 @click.argument("file", type=click.Path())
 @click.option("--certificate", type=click.Path(), metavar="CERTIFICATE", help="[FILE.certificate]")

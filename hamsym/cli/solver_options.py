@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import functools
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import Field, fields
 from typing import Any
 
 import click
 
 from hamsym.cli.command import Choice, Command
-from hamsym.cli.texts import number, numbers, saved_solution, whole_numbers
-from hamsym.errors import InputError
+from hamsym.cli.texts import NUMBER, NUMBERS, Parsed, saved_solution, whole_numbers
 
 
 class SolverCommand(Command):
@@ -49,21 +48,6 @@ class _MethodOption(click.Option):
         self.section = section
 
 
-class _Parsed(click.ParamType):
-    """A type of values that a function reads from text."""
-
-    def __init__(self, name: str, read: Callable[[str], Any]) -> None:
-        self.name, self.read = name, read
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        if not isinstance(value, str):
-            return value
-        try:
-            return self.read(value)
-        except InputError as error:
-            raise InputError(f"{param.opts[0] if param else self.name}: {error}") from None
-
-
 class _NamedChoice(Choice):
     """A choice among names of values."""
 
@@ -95,13 +79,13 @@ _OTHERS = "Other options"
 _TYPES: dict[str, Any] = {
     "int": click.INT,
     "bool": click.BOOL,
-    "float": _Parsed("number", number),
+    "float": NUMBER,
     "tuple[float, float]": (click.FLOAT, click.FLOAT),
-    "Sequence[int]": _Parsed("numbers", whole_numbers),
-    "Sequence[float]": _Parsed("numbers", numbers),
-    "float | Sequence[float]": _Parsed("numbers", numbers),
+    "Sequence[int]": Parsed("numbers", whole_numbers),
+    "Sequence[float]": NUMBERS,
+    "float | Sequence[float]": NUMBERS,
     "str | torch.device": click.STRING,
-    "Solution": _Parsed("file", saved_solution),
+    "Solution": Parsed("file", saved_solution),
 }
 
 
@@ -113,20 +97,20 @@ def _solver_parameters() -> tuple[click.Parameter, ...]:
     found: list[click.Parameter] = [
         click.Option(
             ["--tol"],
-            type=_Parsed("number", number),
+            type=NUMBER,
             metavar="NUMBER",
             help="Tolerance, relative to the largest value of each component; networks that are "
             "trained jointly stop when it is met.  [1e-09; 0.01 for networks trained jointly]",
         ),
         click.Option(
             ["--atol"],
-            type=_Parsed("numbers", numbers),
+            type=NUMBERS,
             metavar="NUMBERS",
             help="Absolute tolerance, one or one for each component.  [0]",
         ),
         click.Option(
             ["--breakpoints"],
-            type=_Parsed("numbers", numbers),
+            type=NUMBERS,
             metavar="TIMES",
             help="Times at which a window ends.",
         ),

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import click
 
 from hamsym.errors import InputError
 from hamsym.formula.separation import separated
@@ -44,42 +46,83 @@ def saved_solution(path: str) -> Solution:
     return load_solution(path)
 
 
-def assignments(text: str, option: str) -> dict[str, float]:
+def assignments(text: str) -> dict[str, float]:
     """Return the values of NAME=VALUE parts between commas."""
-    return {name: number(value) for name, value in texts_by_name(text, option).items()}
+    return {name: number(value) for name, value in texts_by_name(text).items()}
 
 
-def texts_by_name(text: str, option: str) -> dict[str, str]:
+def texts_by_name(text: str, form: str = "NAME=VALUE; write e.g. m=1.0") -> dict[str, str]:
     """Return the texts of NAME=VALUE parts between commas."""
-    return formulas(listed(text), option, "NAME=VALUE; write e.g. m=1.0")
+    found: dict[str, str] = {}
+    for part in listed(text):
+        name, equals, value = (piece.strip() for piece in part.partition("="))
+        if not equals or not name or not value:
+            raise InputError(f"'{part}' is not {form}")
+        if name in found:
+            raise InputError(f"'{name}' occurs twice; give it once")
+        found[name] = value
+    return found
 
 
-def ranges(texts: Iterable[str], option: str) -> dict[str, tuple[str, str]]:
-    """Return the ends of NAME=LOW:HIGH parts, "" where one is left out."""
-    found: dict[str, tuple[str, str]] = {}
-    for name, ends in formulas(texts, option, "NAME=LOW:HIGH; write e.g. x=-2:2").items():
+def formulas(text: str) -> dict[str, str]:
+    """Return the formulas of NAME=FORMULA parts between commas."""
+    return texts_by_name(text, "NAME=FORMULA; write e.g. p=-c*p")
+
+
+def ranges(text: str) -> dict[str, tuple[float | None, float | None]]:
+    """Return the ends of NAME=LOW:HIGH parts between commas, None where one is left out."""
+    form = "NAME=LOW:HIGH; write e.g. x=-2:2"
+    found: dict[str, tuple[float | None, float | None]] = {}
+    for name, ends in texts_by_name(text, form).items():
         low, colon, high = (piece.strip() for piece in ends.partition(":"))
         if not colon:
-            raise InputError(f"'{name}={ends}' in {option} is not NAME=LOW:HIGH; write e.g. x=-2:2")
-        found[name] = low, high
+            raise InputError(f"'{name}={ends}' is not {form}")
+        found[name] = number(low) if low else None, number(high) if high else None
+    return found
+
+
+def intervals(text: str) -> dict[str, tuple[float | None, float | None]]:
+    """Return the ends of NAME=LOW:HIGH parts between commas, none of which is left out."""
+    found = ranges(text)
+    for name, ends in found.items():
+        if None in ends:
+            raise InputError(f"'{name}' lacks an end; write e.g. {name}=-2:2")
     return found
 
 
 def state(text: str) -> dict[str, float] | list[float]:
     """Return a state, by name if the text has names."""
-    return assignments(text, "--z0") if "=" in text else numbers(text)
+    return assignments(text) if "=" in text else numbers(text)
 
 
-def formulas(
-    texts: Iterable[str], option: str, form: str = "NAME=FORMULA; write e.g. p=-c*p"
-) -> dict[str, str]:
-    """Return the formulas of NAME=FORMULA texts."""
-    found: dict[str, str] = {}
-    for text in texts:
-        name, equals, formula = (piece.strip() for piece in text.partition("="))
-        if not equals or not name or not formula:
-            raise InputError(f"'{text}' in {option} is not {form}")
-        if name in found:
-            raise InputError(f"'{name}' occurs twice in {option}; give it once")
-        found[name] = formula
-    return found
+class Parsed(click.ParamType):
+    """A type of values that a function reads from text; its errors name the option."""
+
+    def __init__(self, name: str, read: Callable[[str], Any]) -> None:
+        self.name, self.read = name, read
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if not isinstance(value, str):
+            return value
+        try:
+            return self.read(value)
+        except InputError as error:
+            raise InputError(f"{param.opts[0] if param else self.name}: {error}") from None
+
+
+NAMES = Parsed("names", listed)
+NUMBER = Parsed("number", number)
+NUMBERS = Parsed("numbers", numbers)
+SECONDS = Parsed("seconds", number)
+STATE = Parsed("state", state)
+TIME = Parsed("time", number)
+VALUES = Parsed("values", assignments)
+
+
+def joined(read: Callable[[str], Any]) -> Callable[[click.Context, click.Parameter, Any], Any]:
+    """Return a callback that reads all texts of a repeated option at once, None without one."""
+
+    def together(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) -> Any:
+        return Parsed("text", read).convert(",".join(texts), param, ctx) if texts else None
+
+    return together

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hamsym.cli.command import Command, Report, completing, report_of
+from hamsym.cli.command import Report, command, completing, report_of
 from hamsym.cli.exporting import check_export
 from hamsym.cli.options import (
     Draw,
@@ -23,7 +23,7 @@ from hamsym.cli.options import (
 )
 from hamsym.cli.output import check_directory, write_certificate
 from hamsym.cli.solver_options import SolverCommand
-from hamsym.cli.texts import listed
+from hamsym.cli.texts import NAMES, NUMBER
 from hamsym.errors import InputError
 from hamsym.support.text_tables import ROWS
 
@@ -36,16 +36,14 @@ if TYPE_CHECKING:
 Output = tuple[Any, Report, list[tuple[str, Any]], dict[str, Any]]
 
 
-@click.command(
+@command(
+    "Compute a trajectory to a tolerance, with its error.",
+    'hamsym solve "p**2/2 + x**2/2 + x**4/4" --z0 x=1.3,p=1 --t-end "4*pi" --tol 1e-9',
+    "hamsym solve pendulum",
+    'hamsym solve "p**2/2 - cos(x)" --z0 1,0 --t-end 20 -o orbit.hamsym --plot orbit.png',
+    'hamsym solve "p**2/2 - cos(x)" --z0 1,0 --t-end 20 --plot it.png --draw "x, p**2/2"',
+    'hamsym solve "p**2/2 + k*x**2/2" -P k=2 --z0 1,0 --t-end 3 --method adam --epochs 200',
     cls=SolverCommand,
-    short_help="Compute a trajectory to a tolerance, with its error.",
-    examples=[
-        'hamsym solve "p**2/2 + x**2/2 + x**4/4" --z0 x=1.3,p=1 --t-end "4*pi" --tol 1e-9',
-        "hamsym solve pendulum",
-        'hamsym solve "p**2/2 - cos(x)" --z0 1,0 --t-end 20 -o orbit.hamsym --plot orbit.png',
-        'hamsym solve "p**2/2 - cos(x)" --z0 1,0 --t-end 20 --plot it.png --draw "x, p**2/2"',
-        'hamsym solve "p**2/2 + k*x**2/2" -P k=2 --z0 1,0 --t-end 3 --method adam --epochs 200',
-    ],
 )
 @hamiltonian_options
 @span_options
@@ -98,21 +96,19 @@ def solve(
     return report
 
 
-@click.command(
+@command(
+    "Solve, and compare with integrators.",
+    'hamsym compare "p**2/2 + x**2/2" --z0 1,0 --t-end 10',
+    'hamsym compare "p**2/2 + x**2/2" --z0 1,0 --t-end 10 --with yoshida4,gauss6',
+    'hamsym compare "p**2/2 - cos(x)" --z0 1,0 --t-end 5 --tol 1e-6 --max-steps 100000',
     cls=SolverCommand,
-    short_help="Solve, and compare with integrators.",
-    examples=[
-        'hamsym compare "p**2/2 + x**2/2" --z0 1,0 --t-end 10',
-        'hamsym compare "p**2/2 + x**2/2" --z0 1,0 --t-end 10 --with yoshida4,gauss6',
-        'hamsym compare "p**2/2 - cos(x)" --z0 1,0 --t-end 5 --tol 1e-6 --max-steps 100000',
-    ],
 )
 @hamiltonian_options
 @span_options
 @click.option(
     "--with",
     "methods",
-    metavar="NAMES",
+    type=NAMES,
     default="usual",
     help="Integrators, e.g. symplectic_euler,gauss6,dop853.  [three in common use]",
     shell_complete=completing(integrators),
@@ -123,7 +119,7 @@ def compare(
     H: Hamiltonian,
     z0: Any,
     span: tuple[float, float],
-    methods: str,
+    methods: list[str],
     max_steps: int,
     draw: Draw,
     **options: Any,
@@ -133,7 +129,7 @@ def compare(
     from hamsym.study.compare import chosen_methods
     from hamsym.study.compare import compare as run_comparison
 
-    names = chosen_methods(H, listed(methods))
+    names = chosen_methods(H, methods)
     solution = run(H, z0, span, **options)
     comparison = run_comparison(solution, names, max_steps=max_steps)
     report = report_of(comparison)
@@ -141,13 +137,10 @@ def compare(
     return report
 
 
-@click.command(
-    cls=Command,
-    short_help="Integrate with a time-stepping method.",
-    examples=[
-        'hamsym integrate "p**2/2 + x**2/2 + x**4/4" --z0 x=1.3,p=1 --t-end 20 --tol 1e-9',
-        'hamsym integrate "p**2/2 - cos(x)" --z0 1,0 --t-end 9 --method gauss4 --dt 0.01 -o s.csv',
-    ],
+@command(
+    "Integrate with a time-stepping method.",
+    'hamsym integrate "p**2/2 + x**2/2 + x**4/4" --z0 x=1.3,p=1 --t-end 20 --tol 1e-9',
+    'hamsym integrate "p**2/2 - cos(x)" --z0 1,0 --t-end 9 --method gauss4 --dt 0.01 -o s.csv',
 )
 @click.option(
     "--list",
@@ -199,15 +192,12 @@ def integrate(
 _METHODS = "hamsym integrate --list shows the methods."
 
 
-@click.command(
-    cls=Command,
+@command(
+    "Compute Lyapunov exponents, MEGNO and SALI.",
+    'hamsym lyapunov "(p_x**2+p_y**2)/2 + (x**2+y**2)/2 + x**2*y - y**3/3" '
+    "--z0 0.3,-0.3,0.3,0.15 --t-end 1000",
+    'hamsym lyapunov "p**2/2 - cos(x)" --z0 1,0 --t-end 1000 --indicators',
     epilog=_METHODS,
-    short_help="Compute Lyapunov exponents, MEGNO and SALI.",
-    examples=[
-        'hamsym lyapunov "(p_x**2+p_y**2)/2 + (x**2+y**2)/2 + x**2*y - y**3/3" '
-        "--z0 0.3,-0.3,0.3,0.15 --t-end 1000",
-        'hamsym lyapunov "p**2/2 - cos(x)" --z0 1,0 --t-end 1000 --indicators',
-    ],
 )
 @hamiltonian_options
 @starts_options
@@ -265,20 +255,17 @@ def _indicators(
     return found, report_of(found), columns, arrays
 
 
-@click.command(
-    cls=Command,
+@command(
+    "Compute a Poincare section.",
+    'hamsym section "p**2/2 - cos(x)" --z0 1,0 --t-end 50 --at "x = 0, p > 0"',
+    'hamsym section "(p_x**2+p_y**2)/2 + (x**2+y**2)/2 + x**2*y - y**3/3" '
+    '--z0 x=0,y=0.1,p_y=0 --energy 1/8 --t-end 500 --at "x = 0, p_x > 0" --plot section.png',
     epilog=_METHODS,
-    short_help="Compute a Poincare section.",
-    examples=[
-        'hamsym section "p**2/2 - cos(x)" --z0 1,0 --t-end 50 --at "x = 0, p > 0"',
-        'hamsym section "(p_x**2+p_y**2)/2 + (x**2+y**2)/2 + x**2*y - y**3/3" '
-        '--z0 x=0,y=0.1,p_y=0 --energy 1/8 --t-end 500 --at "x = 0, p_x > 0" --plot section.png',
-    ],
 )
 @hamiltonian_options
 @starts_options
 @click.option("--at", "surface", required=True, metavar="SURFACE", help='"x = 0, p_x > 0"')
-@click.option("--energy", metavar="NUMBER", help="Energy of states that lack one component.")
+@click.option("--energy", type=NUMBER, help="Energy of states that lack one component.")
 @integrator_options
 @click.option("--crossings", type=int, help="Stop at this number for each trajectory.")
 @click.option("--prove", is_flag=True, help="Prove that these are all, and how exact they are.")

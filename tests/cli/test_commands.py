@@ -514,7 +514,7 @@ BAD = [
     (["derive", "x + m"], "no pair such as"),
     (["derive", "p**2", "--q", "x"], "q is given without p; give both or neither"),
     (["derive", OSCILLATOR, "--param", "k=1"], "'k' does not occur in H"),
-    (["derive", "p**2 + k*x**2", "--param", "k"], "'k' in --param is not NAME=VALUE"),
+    (["derive", "p**2 + k*x**2", "--param", "k"], "--param: 'k' is not NAME=VALUE"),
     (["derive", "p**2 + k*x**2", "--param", "k=one"], "is a variable"),
     (["derive", "p**2 + k*x**2", "-P", "k=1", "-P", "k=2"], "'k' occurs twice"),
     (["derive"], "Missing argument 'H'"),

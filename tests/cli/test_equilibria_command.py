@@ -33,7 +33,7 @@ def test_guesses_are_read(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--box", "x=1"], "'x=1' in --box is not NAME=LOW:HIGH"),
+        (["--box", "x=1"], "--box: 'x=1' is not NAME=LOW:HIGH"),
         (["--box", "x=0:1,x=0:1"], "'x' occurs twice"),
         (["--box", "x=0:1"], "no interval for p"),
         (["--box", "x=1:0,p=0:1"], "low < high"),
