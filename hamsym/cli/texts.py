@@ -102,8 +102,8 @@ class Parsed(click.ParamType):
         self.name, self.read = name, read
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        if not isinstance(value, str):
-            return value
+        if not isinstance(value, str) or (ctx is not None and ctx.resilient_parsing):
+            return value  # words are completed without reading them
         try:
             return self.read(value)
         except InputError as error:

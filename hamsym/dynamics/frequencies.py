@@ -392,7 +392,7 @@ def _analysed(
         [
             omega / half,
             sizes * (2 if signal.is_real else 1),
-            _wrapped(phase),
+            (phase + np.pi) % (2 * np.pi) - np.pi,
             error / half,
             drift / half,
         ]
@@ -401,10 +401,6 @@ def _analysed(
     order = np.argsort(-rows[1], kind="stable")
     spread = float(np.sqrt(np.mean(np.abs(values) ** 2))) or 1.0
     return rows[:, order], float(np.sqrt(np.mean(np.abs(rest) ** 2))) / spread
-
-
-def _wrapped(angle: np.ndarray) -> np.ndarray:
-    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
 def _halves(values: np.ndarray, elapsed: np.ndarray, omega: float) -> Iterator[float]:

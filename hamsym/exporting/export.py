@@ -13,6 +13,10 @@ import sympy
 import hamsym
 from hamsym.errors import InputError
 from hamsym.exporting.about import About, checked_certificate
+from hamsym.exporting.c_header import c_header
+from hamsym.exporting.closed_form import ClosedForm, closed_form
+from hamsym.exporting.json_document import json_document
+from hamsym.exporting.python_module import python_module
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.solution.solution import Solution
 from hamsym.support.atomic import write_file
@@ -24,35 +28,17 @@ class Format:
     """A format of exported files."""
 
     summary: str
-    #: (About, stem of the file's name) -> its bytes.
-    content: Callable[[About, str], bytes]
+    #: (About, the numbers, stem of the file's name) -> its bytes.
+    content: Callable[[About, ClosedForm, str], bytes]
     #: Largest number of float64 numbers in a file.
     most: int
 
 
-def _python(about: About, stem: str) -> bytes:
-    from hamsym.exporting.python_module import python_module
-
-    return python_module(about, _form(about, ".py"))
-
-
-def _json(about: About, stem: str) -> bytes:
-    from hamsym.exporting.json_document import json_document
-
-    return json_document(about, _form(about, ".json"))
-
-
-def _header(about: About, stem: str) -> bytes:
-    from hamsym.exporting.c_header import c_header
-
-    return c_header(about, _form(about, ".h"), stem)
-
-
 #: Formats by the ending of the file's name.
 FORMATS: dict[str, Format] = {
-    ".py": Format("a module that needs only numpy", _python, 100_000_000),
-    ".json": Format("numbers for JavaScript", _json, 5_000_000),
-    ".h": Format("a header in C99", _header, 5_000_000),
+    ".py": Format("a module that needs only numpy", python_module, 100_000_000),
+    ".json": Format("numbers for JavaScript", json_document, 5_000_000),
+    ".h": Format("a header in C99", c_header, 5_000_000),
 }
 
 
@@ -61,9 +47,7 @@ LESSON = ".html"
 _SPAN = (0.0, 20.0)
 
 
-def _form(about: About, ending: str) -> Any:
-    from hamsym.exporting.closed_form import closed_form
-
+def _form(about: About, ending: str) -> ClosedForm:
     form = closed_form(about.solution)
     if form.numbers > FORMATS[ending].most:
         raise InputError(
@@ -183,7 +167,7 @@ def export(
             "export it as it is"
         )
     about = About(result, checked_certificate(result, certificate))
-    write_file(target, FORMATS[ending].content(about, target.stem))
+    write_file(target, FORMATS[ending].content(about, _form(about, ending), target.stem))
 
 
 def _export_lesson(

@@ -11,7 +11,7 @@ from hamsym.exporting.closed_form import ClosedForm, FeatureForm
 _FORMAT, _VERSION = "hamsym trajectory", 1
 
 
-def json_document(about: About, form: ClosedForm) -> bytes:
+def json_document(about: About, form: ClosedForm, _: str) -> bytes:
     """Return the document; every number is a decimal that is read back to the last bit."""
     solution = about.solution
     values: dict[str, Any] = {

@@ -17,7 +17,7 @@ _WIDTH = 96  # characters of a line
 _WRITTEN_OUT = 64  # numbers of an array that is written in decimals, not as bytes
 
 
-def python_module(about: About, form: ClosedForm) -> bytes:
+def python_module(about: About, form: ClosedForm, _: str) -> bytes:
     """Return the module as text in UTF-8."""
     H = about.solution.H
     errors = [e if np.isfinite(e) else None for e in about.solution.largest_error.tolist()]

@@ -78,7 +78,9 @@ def choose_steps(
     scheme = INTEGRATORS[method].scheme
     assert isinstance(scheme, Scheme)
     length, batch, each = abs(span[1] - span[0]), len(members), save_every or 1
-    most = _MAX_UPDATES / (batch * _cost(scheme, members.H.dim))
+    # Component updates of a step; implicit steps solve linear equations.
+    cost = (scheme.stages * members.H.dim) ** (3 if isinstance(scheme, RungeKutta) else 1)
+    most = _MAX_UPDATES / (batch * cost)
     steps = fewest = each * math.ceil(_MIN_STEPS / each)
     rate = _fastest_rate(members, members.states[:, None], np.array([span[0]]))
     while steps < length * rate / _ANGLE:
@@ -115,11 +117,6 @@ def _saved_every(steps: int, components: int) -> int:
     while saves > _MIN_STEPS and (saves > _MAX_SAVED or saves * components > _MAX_SAVED_COMPONENTS):
         saves //= 2
     return steps // saves
-
-
-def _cost(scheme: Scheme, dim: int) -> float:
-    """Cost of a step in component updates; implicit steps solve linear equations."""
-    return float((scheme.stages * dim) ** (3 if isinstance(scheme, RungeKutta) else 1))
 
 
 def _tested_part(z: np.ndarray) -> np.ndarray:

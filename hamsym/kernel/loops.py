@@ -85,6 +85,8 @@ def address(array: np.ndarray) -> int:
 class Record(ctypes.Structure):
     """A structure of the library, which keeps the arrays that it points to."""
 
+    _lanes = ""  # counts that must be multiples of LANES
+
     def __init__(self, **values: Any) -> None:
         super().__init__()
         self._values = values
@@ -99,14 +101,12 @@ class Record(ctypes.Structure):
                 self.arrays[name] = value
                 value = ctypes.addressof(value)
             setattr(self, name, value)
+        for name in self._lanes.split():
+            if getattr(self, name) % LANES:
+                raise ValueError(f"{name}={getattr(self, name)} is not a multiple of {LANES}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _made, (type(self), self._values)
-
-    def _require_lanes(self, names: str) -> None:
-        for name in names.split():
-            if getattr(self, name) % LANES:
-                raise ValueError(f"{name}={getattr(self, name)} is not a multiple of {LANES}")
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Return an array that the structure points to."""
@@ -259,10 +259,7 @@ class Tables(Record):
         *arrays("node integration twice fit place to_between rates_between end end_low"),
         *arrays("extrapolation"),
     ]
-
-    def __init__(self, **values: Any) -> None:
-        super().__init__(**values)
-        self._require_lanes("nodes columns between terms")
+    _lanes = "nodes columns between terms"
 
 
 class Settings(Record):
@@ -298,10 +295,7 @@ class Rule(Record):
         *counts("nodes"),
         *arrays("node at_nodes drift integration twice lift end last"),
     ]
-
-    def __init__(self, **values: Any) -> None:
-        super().__init__(**values)
-        self._require_lanes("nodes")
+    _lanes = "nodes"
 
 
 class ErrorTables(Record):
@@ -313,10 +307,7 @@ class ErrorTables(Record):
         *arrays("place value value_low rate rate_low drift drift_end to_series dense"),
         *arrays("coarse fine"),
     ]
-
-    def __init__(self, **values: Any) -> None:
-        super().__init__(**values)
-        self._require_lanes("places")
+    _lanes = "places"
 
 
 #: Term of A V: row += factor * second derivative * source row.

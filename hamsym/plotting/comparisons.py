@@ -55,7 +55,9 @@ def _curves(comparison: Comparison) -> list[tuple[str, np.ndarray, np.ndarray, d
     t = np.linspace(*comparison.solution.span, SAMPLES)
     curves = [("network", t, comparison.solution(t), line_style(0))]
     for place, (row, path) in enumerate(_shown(comparison)):
-        label = f"{row.label}, {_amount(row)}".replace("_", " ")
+        tolerance = row.tolerance
+        amount = f"{row.points:,} steps" if tolerance is None else f"rtol {tolerance:.0e}"
+        label = f"{row.label}, {amount}".replace("_", " ")
         curves.append((label, path.t, path.z, line_style(place + 1)))
     return curves
 
@@ -145,7 +147,3 @@ def _shown(comparison: Comparison) -> list[tuple[Row, Trajectory]]:
     if len(comparison.matches) == 1:
         return pairs
     return [[pair for pair in pairs if pair[0].label == name][1] for name in comparison.matches]
-
-
-def _amount(row: Row) -> str:
-    return f"{row.points:,} steps" if row.tolerance is None else f"rtol {row.tolerance:.0e}"

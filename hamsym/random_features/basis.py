@@ -158,11 +158,6 @@ def size_of(columns: int) -> Size:
     return next((size for size in SIZES.values() if columns <= size.columns), SIZES[24])
 
 
-def columns_of(series: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Evaluate f N and its derivative at s from the series of N, in the precision of s."""
-    return _columns(series, rate_series(series), s)
-
-
 def basis_of_series(seed: int, series: np.ndarray) -> FeatureBasis:
     """Make the basis of which the columns are f N for given series of N."""
     size = size_of(series.shape[1])

@@ -46,9 +46,10 @@ class ExactDerivatives:
         forces: Sequence[sympy.Expr] = (),
     ) -> None:
         self._z, self._effort = z, effort
+        floats = sympy.Tuple(expr, *forces).atoms(sympy.Float)
         self._numbers: dict[sympy.Symbol, sympy.Float] = {
             sympy.Dummy(f"number{k}", real=True, positive=bool(number > 0)): number
-            for k, number in enumerate(sorted(_floats(expr, *forces), key=str))
+            for k, number in enumerate(sorted(floats, key=str))
         }
         marks = {number: symbol for symbol, number in self._numbers.items()}
         self.expr: sympy.Expr = expr.xreplace(marks) if marks else expr
@@ -147,10 +148,6 @@ class ExactDerivatives:
                 small = exponent.is_number and abs(exponent) <= MAX_EXPONENT
                 (found if small else refused).update(symbols)
         return {symbol: values[symbol] for symbol in found - refused}
-
-
-def _floats(*formulas: sympy.Expr) -> set[sympy.Float]:
-    return {number for formula in formulas for number in formula.atoms(sympy.Float)}
 
 
 def fraction(number: sympy.Float) -> sympy.Rational:

@@ -47,7 +47,8 @@ def motion_of(result: Any) -> Motion:
     Raise InputError if the result is of another type, or ends where it begins.
     """
     if isinstance(result, Solution):
-        found = _of_solution(result)
+        failure = "" if result.success else f"No success: {result.message}"
+        found = Motion(result.H, result.span, lambda t: result(t)[:, None], failure=failure)
     elif isinstance(result, Solutions):
         found = _of_solutions(result)
     elif isinstance(result, Trajectory):
@@ -62,11 +63,6 @@ def motion_of(result: Any) -> Motion:
     if not found.span[1] - found.span[0]:
         raise InputError("the trajectory ends where it begins; there is no motion to animate")
     return found
-
-
-def _of_solution(solution: Solution) -> Motion:
-    failure = "" if solution.success else f"No success: {solution.message}"
-    return Motion(solution.H, solution.span, lambda t: solution(t)[:, None], failure=failure)
 
 
 def _of_solutions(solutions: Solutions) -> Motion:
