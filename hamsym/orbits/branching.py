@@ -62,9 +62,12 @@ def first_of_branch(
             orbit = leaving.at(side * amplitude, tol)
             if orbit is not None and _is_new(orbit, found.orbit, parameter, amplitude, tol):
                 return orbit
+    name, value = "energy", found.orbit.energy
+    if parameter is not None:
+        name, value = parameter, found.orbit.H.parameters[parameter]
     raise InputError(
-        f"no orbit of another family was found at the {found.kind} at energy "
-        f"{found.orbit.energy:.10g}; continue the family with smaller steps (max_step=)"
+        f"no orbit of another family was found at the {found.kind} at {name} {value:.10g}; "
+        "continue the family with smaller steps (max_step=)"
     )
 
 
@@ -167,8 +170,12 @@ def _natural(arc: Arc, units: np.ndarray) -> np.ndarray:
 
 
 def _extents(arc: Arc) -> np.ndarray:
-    """The largest extent of a coordinate for all coordinates, and of a momentum, shape (dim,)."""
-    q, p = np.split(np.ptp(arc.ends, axis=0), 2)
+    """The largest extent of a coordinate for all coordinates, and of a momentum, shape (dim,).
+
+    Of an orbit at rest the units of its components.
+    """
+    extents = np.ptp(arc.ends, axis=0)
+    q, p = np.split(extents if extents.any() else arc.scale, 2)
     return np.repeat([q.max(), p.max()], len(q))
 
 
@@ -189,6 +196,7 @@ def _is_new(
     path, states = path / units, states / units
     legs = np.diff(path, axis=0)
     from_start = states[:, None] - path[:-1]
-    along = np.clip((from_start * legs).sum(-1) / (legs**2).sum(-1), 0, 1)
+    lengths = np.maximum((legs**2).sum(-1), np.finfo(float).tiny)  # 0 of an orbit at rest
+    along = np.clip((from_start * legs).sum(-1) / lengths, 0, 1)
     distances = np.linalg.norm(from_start - along[..., None] * legs, axis=-1).min(axis=1)
     return bool(distances.max() > _APART * amplitude)

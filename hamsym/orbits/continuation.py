@@ -33,8 +33,10 @@ _SHRUNK = 1e-7  # extent of an orbit, relative to the first one, that counts as 
 _LOOSE = 1e-6  # tolerance of orbits that only enclose a bifurcation
 _LOCATED = 1e-9  # distance along the family up to which a bifurcation is located
 
-# A kind of bifurcation, which is no bifurcation of the orbits with given energies.
-_PERIOD_FOLD = "fold of the period"
+_REAL = 1e-4  # imaginary part of a multiplier on the unit circle that may be round-off
+
+# Kinds: one that is no bifurcation of the orbits with given energies, and one with forces.
+_PERIOD_FOLD, _TORUS = "fold of the period", "Neimark-Sacker"
 
 
 class _LostError(Exception):
@@ -48,8 +50,9 @@ class Bifurcation:
     #: "fold" of the energy, the period or the parameter that is named; "branching", where a pair of
     #: multipliers meets at 1; "period doubling", where one meets at -1; "symmetry breaking", where
     #: one of a shift of even order does; or "collision", where two pairs meet and leave the unit
-    #: circle, or come back to it. Multipliers that touch 1 or -1 and stay on the unit circle, as
-    #: those of integrable systems do, are not reported.
+    #: circle, or come back to it. With forces also "Neimark-Sacker", where a complex pair crosses
+    #: the unit circle and a torus leaves. Multipliers that touch 1 or -1 and stay on the unit
+    #: circle, as those of integrable systems do, are not reported.
     kind: str
     #: The orbit next to the bifurcation.
     orbit: PeriodicOrbit
@@ -130,7 +133,8 @@ class Continuation:
                 self._end(here, there)
                 return
             self.orbits.append(there.orbit)
-            if not (_extent(there.orbit) > _SHRUNK * _extent(self.orbits[0])).any():
+            shrunk = not (_extent(there.orbit) > _SHRUNK * _extent(self.orbits[0])).any()
+            if shrunk and self._problem.autonomous:
                 self.open, self.problem = False, "the family ends at an equilibrium"
                 return
             self._here = there
@@ -185,7 +189,8 @@ class Continuation:
                 there,
                 lambda point, kind=kind: point.tests[kind],  # type: ignore[misc]
             )
-            self.bifurcations.append(Bifurcation(kind, orbit, len(self.orbits) - 1, width))
+            if kind != _TORUS or _complex_pair(orbit.shift_multipliers):
+                self.bifurcations.append(Bifurcation(kind, orbit, len(self.orbits) - 1, width))
 
     def _zero(
         self, here: _Point, there: _Point, function: Callable[[_Point], float]
@@ -241,6 +246,13 @@ class Continuation:
             problem = replace(problem, energy=None, period=value, exact_period=exact)
         found = solved_orbit(problem, orbit.arc, self._tol)
         return found if found.success else None
+
+
+def _complex_pair(multipliers: np.ndarray) -> bool:
+    """Whether the pair of multipliers whose product is nearest to 1 is no real one."""
+    rows, columns = np.triu_indices(len(multipliers), 1)
+    k = int(np.argmin(np.abs(multipliers[rows] * multipliers[columns] - 1)))
+    return bool(abs(multipliers[rows[k]].imag) > _REAL)
 
 
 def _extent(orbit: PeriodicOrbit) -> np.ndarray:
@@ -362,7 +374,12 @@ def _tests(point: _Point, problem: Problem) -> dict[str, float]:
     odd = orbit.problem.closing.order % 2
     meeting = "period doubling" if odd else "symmetry breaking"
     tests[meeting] = float(np.prod(multipliers + 1).real)
-    if len(multipliers) >= 4:
+    if orbit.H.forces:
+        rows, columns = np.triu_indices(len(multipliers), 1)
+        products = multipliers[rows] * multipliers[columns]
+        if len(products):
+            tests[_TORUS] = float(np.prod(products - 1).real)
+    elif len(multipliers) >= 4:
         sums = multipliers + 1 / multipliers
         real = np.abs(sums.imag) <= 1e-4 * np.abs(sums).max()
         tests["collision"] = 1.0 if real.all() else -1.0

@@ -21,7 +21,7 @@ from hamsym.orbits.integrals import Slice
 from hamsym.orbits.symmetry import Closing, SignedPermutation
 from hamsym.orbits.window_maps import WindowMaps
 
-_NO_EFFECT = 1e7  # relative change of a parameter that changes the orbit by its size
+_NO_EFFECT = 1e7  # relative change of a parameter, at least 1, that changes an orbit by its size
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class NewtonSystem:
         self._rows: list[np.ndarray] = []
         self._right: list[np.ndarray] = []
         value = 1.0 if problem.parameter is None else problem.H.parameters[problem.parameter]
-        self._parameter = abs(value) or 1.0
+        self._parameter = max(1.0, abs(value))
         closing = problem.closing
         if closing.first is not None and closing.last is not None:
             self._reflect(closing.first, 0)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.special import mathieu_a as mathieu
 
 import hamsym
 
@@ -168,3 +169,44 @@ def test_family_without_bifurcations_has_no_branches():
     assert family.branches == ()
     with pytest.raises(hamsym.InputError, match=r"family\.branches is empty"):
         family.branch(0, energy=2.0)
+
+
+def test_pendulum_on_a_shaken_support_doubles_its_period():
+    # McLachlan 1947: the first band of Mathieu's equation, x'' + (1 + a cos w t) x = 0
+    H = hamsym.Hamiltonian(
+        "p**2/2 - (1 + a*cos(w*t))*cos(x)", q=["x"], p=["p"], parameters={"a": 0.05, "w": 1.8}
+    )
+    rest = hamsym.periodic_orbit(H, [0.0, 0.0], period=2 * np.pi / 1.8)
+    family = rest.family(parameter=("a", 0.6))
+    assert family.success
+    (found,) = family.branches
+    assert found.kind == "period doubling"
+    delta, q = 4 / 1.8**2, 2 * found.orbit.H.parameters["a"] / 1.8**2
+    ends = [mathieu(1, q), mathieu(1, -q)]  # a_1(q) and b_1(q) = a_1(-q)
+    assert min(abs(delta - end) for end in ends) < 1e-8
+    orbit = family.branch(0, parameter=("a", 0.385))[-1]
+    assert orbit.success
+    assert orbit.repetitions == 1
+    assert orbit.period == pytest.approx(2 * rest.period, rel=1e-15)
+    assert np.ptp(orbit(np.linspace(0, orbit.period, 50))[:, 0]) > 0.1
+    assert closure(orbit) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "kinds"), [("4", ["Neimark-Sacker"]), ("-4", [])], ids=["focus", "saddle"]
+)
+def test_complex_pairs_cross_the_circle_where_damping_ends(stiffness, kinds):
+    # van der Pol's oscillator beside a damped one, whose multipliers are exp(-c T/2 +- i ...)
+    H = hamsym.Hamiltonian(
+        f"p_x**2/2 + x**2/2 + p_y**2/2 + ({stiffness})*y**2/2",
+        q=["x", "y"],
+        p=["p_x", "p_y"],
+        forces={"p_x": "(1 - x**2)*p_x", "p_y": "-c*p_y"},
+        parameters={"c": 0.1},
+    )
+    orbit = hamsym.periodic_orbit(H, ([2.0, 0, 0, 0], 6.66))
+    family = orbit.family(parameter=("c", -0.12))
+    assert family.success
+    assert [found.kind for found in family.bifurcations] == kinds
+    assert all(abs(found.orbit.H.parameters["c"]) < 1e-7 for found in family.bifurcations)
+    assert family.branches == ()
