@@ -60,7 +60,7 @@ def first_of_branch(
             continue
         for amplitude in _AMPLITUDES:
             orbit = leaving.at(side * amplitude, tol)
-            if orbit is not None and _is_new(orbit, found.orbit, parameter, amplitude, tol):
+            if orbit is not None and is_new(orbit, found.orbit, parameter, amplitude, tol):
                 return orbit
     name, value = "energy", found.orbit.energy
     if parameter is not None:
@@ -179,7 +179,7 @@ def _extents(arc: Arc) -> np.ndarray:
     return np.repeat([q.max(), p.max()], len(q))
 
 
-def _is_new(
+def is_new(
     orbit: PeriodicOrbit, old: PeriodicOrbit, parameter: str | None, amplitude: float, tol: float
 ) -> bool:
     """Whether an orbit is not that of the family with the same energy or parameter."""

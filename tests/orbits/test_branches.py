@@ -6,6 +6,7 @@ from scipy.integrate import solve_ivp
 from scipy.special import mathieu_a as mathieu
 
 import hamsym
+from hamsym.orbits.branching import is_new
 
 HENON_HEILES = hamsym.Hamiltonian(
     "(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2 + x**2*y - y**3/3", q=["x", "y"], p=["p_x", "p_y"]
@@ -62,6 +63,15 @@ def test_families_leave_the_orbit_along_y(along_y, k):
     assert closure(orbit) < 1e-9
     same = along_y[found.after].family(energy=orbit.energy)[-1]
     assert distance(orbit, same) > 1e-3
+
+
+def test_orbits_of_the_family_are_those_of_no_branch(along_y):
+    found = along_y.branches[2]
+    branch = along_y.branch(2, energy=found.orbit.energy + 0.0005)[-1]
+    later = hamsym.periodic_orbit(HENON_HEILES, (along_y[-1](1.0), along_y[-1].period))
+    assert is_new(branch, found.orbit, None, 0.02, 1e-10)
+    assert not is_new(along_y[found.after], found.orbit, None, 0.02, 1e-10)
+    assert not is_new(later, found.orbit, None, 0.02, 1e-10)
 
 
 def test_sides_of_a_branch_are_images_of_each_other(along_y):
