@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -214,14 +215,16 @@ def _own_errors() -> Iterator[None]:
 class Group(click.Group):
     """A group that lists its commands by subject and suggests similar ones.
 
-    - subjects: Titles of the parts of the list, and the names of their commands.
+    - subjects: Commands of each part of the list, by its title.
     """
 
     def __init__(
-        self, *arguments: Any, subjects: Mapping[str, str] | None = None, **settings: Any
+        self, *arguments: Any, subjects: Mapping[str, Sequence[click.Command]], **settings: Any
     ) -> None:
         super().__init__(*arguments, **settings)
-        self.subjects = subjects or {}
+        self.subjects = subjects
+        for each in itertools.chain.from_iterable(subjects.values()):
+            self.add_command(each)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -240,19 +243,12 @@ class Group(click.Group):
             return super().invoke(ctx)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the commands by subject, then those without one."""
-        subjects = {title: names.split() for title, names in self.subjects.items()}
-        placed = {name for names in subjects.values() for name in names}
-        subjects["Further commands"] = [n for n in self.list_commands(ctx) if n not in placed]
-        for title, names in subjects.items():
-            rows = []
-            for name in names:
-                command = self.get_command(ctx, name)
-                if command is not None and not command.hidden:
-                    rows.append((name, command.get_short_help_str(limit=62)))
-            if rows:
-                with formatter.section(title):
-                    formatter.write_dl(rows)
+        """Write the commands by subject."""
+        for title, commands in self.subjects.items():
+            with formatter.section(title):
+                formatter.write_dl(
+                    [(str(each.name), each.get_short_help_str(limit=62)) for each in commands]
+                )
 
 
 class Choice(click.Choice):

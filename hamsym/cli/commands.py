@@ -100,12 +100,12 @@ def _warn(message: Warning | str) -> None:
 @click.group(
     cls=Group,
     subjects={
-        "Derive": "derive source invariants equilibria systems",
-        "Solve": "solve integrate compare fit",
-        "Dynamics": "lyapunov section orbit",
-        "Prove": "certify verify",
-        "Show and share": "report export explore",
-        "Others": "reproduce",
+        "Derive": (derive, source, invariants, equilibria, systems),
+        "Solve": (solve, integrate, compare, fit),
+        "Dynamics": (lyapunov, section, orbit),
+        "Prove": (certify, verify),
+        "Show and share": (report, export, explore),
+        "Others": (reproduce,),
     },
     context_settings={**HELP, "max_content_width": WIDTH},
     invoke_without_command=True,
@@ -122,29 +122,6 @@ def cli(context: click.Context) -> None:
     """
     if context.invoked_subcommand is None:
         click.echo(context.get_help())
-
-
-for command in (
-    derive,
-    source,
-    systems,
-    solve,
-    integrate,
-    lyapunov,
-    section,
-    invariants,
-    equilibria,
-    orbit,
-    compare,
-    fit,
-    certify,
-    verify,
-    report,
-    export,
-    explore,
-    reproduce,
-):
-    cli.add_command(command)
 
 
 if __name__ == "__main__":
