@@ -24,12 +24,8 @@ from hamsym.orbits.symmetry import Closing, SignedPermutation
 #: Kinds of bifurcations at which another family of periodic orbits leaves.
 LEAVING = ("branching", "period doubling", "symmetry breaking")
 
-_AMPLITUDES = (
-    0.02,
-    0.005,
-    0.05,
-    0.001,
-)  # of the first orbit, in states relative to the extents of the motion
+#: Of the first orbit, in states relative to the extents of the motion.
+_AMPLITUDES = (0.02, 0.005, 0.05, 0.001)
 _GAP = 1e-2  # ratio of the second singular value to the third one at a bifurcation
 _APART = 0.1  # distance of the first orbit from the family, relative to its amplitude
 _PLACES, _POINTS = 12, 1000  # of an orbit, and of another one that is compared with it
