@@ -46,6 +46,7 @@ INLINE double lesser(double x, double y) { return x < y ? x : y; }
 /* Sums over a table at some columns: `width` vectors for each of `height` rows. Both are constants
    where this is called, so that the accumulators stay in registers. */
 INLINE void add_up(const double *table, long n, long k, const double *rows, int height, int width, v4 *sums) {
+  __asm__("" : "+r"(n)); /* unrolled, the loop has more values at once than registers hold */
   for (int j = 0; j < height * width; j++) sums[j] = spread(0.0);
   for (long m = 0; m < n; m++)
     for (int i = 0; i < height; i++) {
@@ -66,18 +67,19 @@ INLINE void tile(const double *table, long n, long k, const double *rows, long r
                  int width, double *out, const motion *moved) {
   v4 sums[8];
   add_up(table + column, n, k, rows + row * n, height, width, sums);
-  for (int i = 0; i < height; i++)
-    for (int j = 0; j < width; j++) {
-      long place = (row + i) * k + column + 4 * j;
+  for (int i = 0; i < height; i++) {
+    long place = (row + i) * k + column;
+    v4 most = moved ? moved->changes[row + i] : spread(0.0);
+    for (int j = 0; j < width; j++, place += 4) {
+      v4 found = sums[i * width + j];
       if (moved) {
-        v4 found = load(moved->base + place) + spread(moved->h) * sums[i * width + j];
-        v4 change = size4(found - load(moved->states + place));
-        moved->changes[row + i] = larger4(change, moved->changes[row + i]);
-        store(moved->states + place, found);
-      } else {
-        store(out + place, sums[i * width + j]);
+        found = load(moved->base + place) + spread(moved->h) * found;
+        most = larger4(size4(found - load(moved->states + place)), most);
       }
+      store((moved ? moved->states : out) + place, found);
     }
+    if (moved) moved->changes[row + i] = most;
+  }
 }
 
 INLINE void cover(const double *table, long n, long k, const double *rows, long count, double *out,
