@@ -60,18 +60,19 @@ INLINE v4 sign4(v4 x) {
 
 /* Every operation is a loop of its own over a row, which compilers turn into vector instructions. */
 #define EACH(expression) \
-  for (long c = 0; c < n; c += 4) { \
-    v4 x = load(a + c), y = load(b + c); \
-    (void)y; \
-    store(out + c, expression); \
-  } \
+  for (long c = 0; c < n; c += 8) \
+    for (long d = c; d < c + 8; d += 4) { \
+      v4 x = load(a + d), y = load(b + d); \
+      (void)y; \
+      store(out + d, expression); \
+    } \
   break
 
 static inline v4 root4(v4 x) {
   return (v4){__builtin_sqrt(x[0]), __builtin_sqrt(x[1]), __builtin_sqrt(x[2]), __builtin_sqrt(x[3])};
 }
 
-void perform_rows(enum operation operation, const double *a, const double *b, double *out, long n) {
+INLINE void perform(enum operation operation, const double *a, const double *b, double *out, long n) {
   switch (operation) {
     case COPY: EACH(x);
     case NEGATIVE: EACH(-x);
@@ -106,6 +107,10 @@ void perform_rows(enum operation operation, const double *a, const double *b, do
   }
 }
 
+void perform_rows(enum operation operation, const double *a, const double *b, double *out, long n) {
+  perform(operation, a, b, out, n);
+}
+
 void run(machine *m, const double *states, const double *times, long n, double *out) {
   const program *p = m->program;
   if (p->function) {
@@ -118,5 +123,5 @@ void run(machine *m, const double *states, const double *times, long n, double *
   double **result = row + p->dim + 1 + p->parameters + p->numbers;
   for (long r = 0; r < p->results; r++) result[r] = out + r * n;
   for (const step *s = p->step, *end = s + p->steps; s < end; s++)
-    perform_rows(s->operation, row[s->first], row[s->second], row[s->out], n);
+    perform(s->operation, row[s->first], row[s->second], row[s->out], n);
 }
