@@ -77,8 +77,8 @@ def export(
 
     ``.py``
         A module with ``state(t)``, ``derivative(t)`` and ``energy(t)`` that needs only numpy. It
-        refuses times outside the span. Values are those of the solution, to the last bit for
-        ``method="features"`` on the same machine.
+        refuses times outside the span. Values are those of the solution, but for
+        round-off.
     ``.json``
         The same numbers for JavaScript and others, in the arrangement that
         ``examples/guide/exporting.md`` gives.
@@ -133,7 +133,7 @@ def export(
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     export(solution, folder + "/orbit.py")
     ...     orbit = runpy.run_path(folder + "/orbit.py")
-    >>> bool((orbit["state"]([1.0, 2.0]) == solution([1.0, 2.0])).all())
+    >>> bool(abs(orbit["state"]([1.0, 2.0]) - solution([1.0, 2.0])).max() < 1e-14)
     True
     >>> H = "p**2/2 + k*x**2/2"
     >>> with tempfile.TemporaryDirectory() as folder:

@@ -49,6 +49,7 @@ _SIGNATURES = {
     "hamsym_residual_bounds": "i pppipppppipp",
     "hamsym_bounded": "i pppp",
     "hamsym_discs": "i pppp",
+    "hamsym_paths": "i pippp",
     "hamsym_piece": "i pippiip",
 }
 #: A pointer, also to numbers (p), integers (n) or a structure (s), where that is checked; an
@@ -354,6 +355,34 @@ class Members(Record):
         *arrays("count verdict evaluations excess largest size edge state coefficient mark"),
         *arrays("series floor"),
     ]
+
+
+class Paths(Record):
+    """Windows of paths in consecutive rows, with the series of their basis."""
+
+    _fields_ = [
+        *counts("paths columns terms dim"),
+        *arrays("first_edge first_window windows edge state readout series"),
+    ]
+    _lanes = "terms"
+
+    def states(self, t: np.ndarray) -> np.ndarray:
+        """Evaluate at times (n,) that are counted as the edges: shape (paths, n, dim)."""
+        states = np.empty((self.paths, len(t), self.dim))
+        self._evaluate(t, states, None)
+        return states
+
+    def states_and_rates(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Evaluate, also the derivatives in time, each of shape (paths, n, dim)."""
+        states, rates = (np.empty((self.paths, len(t), self.dim)) for _ in range(2))
+        self._evaluate(t, states, rates)
+        return states, rates
+
+    def _evaluate(self, t: np.ndarray, states: np.ndarray, rates: np.ndarray | None) -> None:
+        t = np.ascontiguousarray(t, dtype=float)
+        slopes = None if rates is None else address(rates)
+        places = address(t), address(states), slopes
+        require_memory(library().hamsym_paths(ctypes.byref(self), len(t), *places))
 
 
 class BoundTables(Record):

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from hamsym.numerics.collocation import chebyshev_values
-from hamsym.numerics.windows import locate
+from hamsym.kernel.loops import Paths
 from hamsym.random_features.basis import DEGREE, FeatureBasis, rate_series
 from hamsym.random_features.windows import March
 from hamsym.support.record_fields import fields_of, floats
@@ -70,38 +69,56 @@ class FeatureTrial:
 
     def states_and_rates(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Evaluate z^ and dz^/dt at times t of shape (K,); each of shape (K, dim)."""
-        window, length, s, polynomials = self._place(t)
-        f = -np.expm1(-s)[:, None]
-        network, slopes = polynomials @ self.series, polynomials @ self._rate_series
-        readout = self.readouts[window]
-        z = self.states[window] + _products(f * network, readout)
-        dz = _products((1 - f) * network + f * slopes, readout)
-        return z, dz / length[:, None]
+        z, dz = self._path.states_and_rates(t - self.origin)
+        return z[0], dz[0]
 
     def states_at(self, t: np.ndarray) -> np.ndarray:
         """Evaluate z^ alone: the same numbers in half the time."""
-        window, _, s, polynomials = self._place(t)
-        columns = -np.expm1(-s)[:, None] * (polynomials @ self.series)
-        return np.asarray(self.states[window] + _products(columns, self.readouts[window]))
+        return self._path.states(t - self.origin)[0]
 
     def tensors(self, t: Tensor) -> tuple[Tensor, Tensor]:
         """Evaluate z^ and dz^/dt at times t of shape (K,), differentiable in t."""
         from hamsym.random_features.trial_tensors import evaluate
 
         own = {name: getattr(self, name) for name in fields_of(FeatureTrial)}
-        return evaluate(t, **own, rate_series=self._rate_series)
+        return evaluate(t, **own, rate_series=rate_series(self.series))
 
     @cached_property
-    def _rate_series(self) -> np.ndarray:
-        return rate_series(self.series)
+    def _path(self) -> Paths:
+        return paths_of(
+            np.zeros(1, np.int64),
+            np.zeros(1, np.int64),
+            np.array([len(self.readouts)]),
+            (self.edges, self.states, self.readouts),
+            self.series,
+        )
 
-    def _place(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return index and length of the window of each time, s and Chebyshev polynomials of s."""
-        window, s = locate(self.edges, t - self.origin)
-        length = self.edges[window + 1] - self.edges[window]
-        return window, length, s, chebyshev_values(2 * s - 1, DEGREE + 1)
 
+def paths_of(
+    first_edge: np.ndarray,
+    first_window: np.ndarray,
+    counts: np.ndarray,
+    windows: tuple[np.ndarray, np.ndarray, np.ndarray],
+    series: np.ndarray,
+) -> Paths:
+    """Return paths for their evaluation.
 
-def _products(rows: np.ndarray, matrices: np.ndarray) -> np.ndarray:
-    """Multiply each row by its matrix, shapes (K, m) and (K, m, dim) -> (K, dim)."""
-    return np.asarray(np.matmul(rows[:, None], matrices)[:, 0])
+    - first_edge, first_window, counts: First edge and first window of each path, and how many
+      windows it has.
+    - windows: Edges, states and readouts.
+    - series: Of the columns of the basis, shape (degree + 1, m).
+    """
+    edges, states, readouts = (np.ascontiguousarray(array, dtype=float) for array in windows)
+    return Paths(
+        paths=len(counts),
+        columns=series.shape[1],
+        terms=len(series),
+        dim=states.shape[1],
+        first_edge=np.ascontiguousarray(first_edge),
+        first_window=np.ascontiguousarray(first_window),
+        windows=np.ascontiguousarray(counts),
+        edge=edges,
+        state=states,
+        readout=readouts,
+        series=series.T,
+    )

@@ -32,7 +32,8 @@ def test_an_accurate_solution_is_accepted(tol: float) -> None:
     t = np.linspace(0, 10, 501)
     x, y, p_x, p_y = solution(t).T
     change = np.abs(x * p_y - y * p_x - 1.2).max()
-    assert 0.9 * change <= solution.invariant_drift[MOMENTUM] < 3 * tol
+    assert 0.9 * change <= solution.invariant_drift[MOMENTUM] + 1e-15  # the round-off of z^
+    assert solution.invariant_drift[MOMENTUM] < 3 * tol
     assert len(solution.invariant_drift) == 3
     assert pickle.loads(pickle.dumps(solution)).invariant_drift == solution.invariant_drift
 
