@@ -60,8 +60,9 @@ def certify(file: str, output: str | None, rows: int | None, **options: Any) -> 
 def verify(file: str, certificate: str | None, time_limit: float | None, checker: str) -> Report:
     """Repeat the proof of a certificate from the saved solution or flow map.
 
-    Exit 1 if a bound of the certificate is not proven. The independent checker covers solutions; it
-    parses H itself and works in ball arithmetic, in five to forty times the time.
+    Exit 1 if a bound of the certificate is not proven. The independent checker covers solutions
+    and periodic orbits; it parses H itself and works in ball arithmetic, in five to forty times the
+    time.
     """
     from hamsym.archive import read_certificate
     from hamsym.proof.prove import verify as run

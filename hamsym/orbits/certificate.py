@@ -14,6 +14,7 @@ from hamsym.formula.parser import check_name
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.orbits.arc import Arc, Problem
 from hamsym.orbits.integrals import shared_integrals
+from hamsym.orbits.orbit_check import check_orbit
 from hamsym.orbits.proven_stability import WEAKER
 from hamsym.proof.arithmetic.ball import Ball
 from hamsym.proof.arithmetic.balls import decimal_above
@@ -42,8 +43,8 @@ class OrbitCertificate(SealedText):
     period : Ball
         Contains its period.
     bound : float
-        Largest distance of the true from the numerical state at the start and at all ends of
-        pieces, relative to the size of each component.
+        Largest distance of the true from the numerical state at the starts of all pieces, relative
+        to the size of each component.
     unique_within : float
         Distance from the true orbit, in the states at these places and in the period, relative to
         the same sizes, within which no other orbit meets the same conditions: the planes or the
@@ -109,11 +110,13 @@ class OrbitCertificate(SealedText):
         """Prove the claims again; see :func:`hamsym.verify`."""
         verify_orbit(self, orbit, time_limit)
 
+    def require_form(self, orbit: PeriodicOrbit) -> None:
+        """Require that the certificate is one of an orbit, which evaluates its stored states."""
+        _require_form(self, orbit)
+        check_orbit(orbit, orbit.arc.edges[:-1], orbit.arc.ends[:-1])
 
-def verify_orbit(
-    claims: hamsym.OrbitCertificate, orbit: hamsym.PeriodicOrbit, time_limit: float | None
-) -> None:
-    """Prove a certificate of an orbit again; see :func:`hamsym.verify`."""
+
+def _require_form(claims: hamsym.OrbitCertificate, orbit: hamsym.PeriodicOrbit) -> None:
     if not isinstance(orbit, hamsym.PeriodicOrbit):
         raise InputError(
             f"a certificate of an orbit needs its PeriodicOrbit, not {type(orbit).__name__}"
@@ -134,6 +137,13 @@ def verify_orbit(
     )
     if claims.statement != stated:
         raise CertificationError("the statement of the certificate does not match its numbers")
+
+
+def verify_orbit(
+    claims: hamsym.OrbitCertificate, orbit: hamsym.PeriodicOrbit, time_limit: float | None
+) -> None:
+    """Prove a certificate of an orbit again; see :func:`hamsym.verify`."""
+    _require_form(claims, orbit)
     found = hamsym.prove_orbit(orbit, time_limit=time_limit)
     proven = {
         "z0": _is_within(found.z0, claims.z0),
@@ -172,9 +182,7 @@ def statement_of(
 ) -> str:
     """Return what is proven, in words."""
     energy = "" if problem.energy is None else f"of energy {float(problem.energy)!r} "
-    places = "At its start" + (
-        f" and at the ends of {pieces} parts of its arc" if pieces > 1 else ""
-    )
+    places = f"At the starts of {pieces} parts of its arc" if pieces > 1 else "At its start"
     free = problem.autonomous and problem.period is None
     alike = "a period as near" if free else "the same period"
     if problem.energy is not None:

@@ -14,6 +14,8 @@ from __future__ import annotations
 
 import math
 import time
+from functools import reduce
+from operator import mul
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -213,10 +215,11 @@ class _Proof:
         try:
             across = Directions(problem, system.states[0], system.scale).at(places, units)
             reduced = shift_derivative(problem.closing, maps, units, across)
-            stability = proven_stability(reduced, whole, forced=bool(orbit.H.forces))
+            power = reduce(mul, [whole] * problem.closing.order)
+            stability = proven_stability(reduced, power, forced=bool(orbit.H.forces))
         except ZeroDivisionError:  # which multipliers are trivial is not proven
             stability = "undecided"
-        bound = float(sum_up((system.distances() + radii) / system.units).max())
+        bound = system.distance(radii)
         statement = statement_of(problem, period, bound, unique, stability, system.pieces)
         return OrbitCertificate(
             z0,

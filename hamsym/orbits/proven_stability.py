@@ -26,7 +26,7 @@ def proven_stability(matrix: Any, whole: Any, *, forced: bool) -> str:
     """Return the word for the stability of every derivative over one shift in a matrix of balls.
 
     - matrix: The derivative without trivial directions (:mod:`hamsym.orbits.quotients`).
-    - whole: The derivative with them.
+    - whole: The derivative over the period, with them.
     - forced: Whether there are forces, so that the derivative is not symplectic.
     """
     return _attraction(matrix) if forced else _symplectic(matrix, whole)
@@ -39,8 +39,8 @@ def _symplectic(matrix: Any, whole: Any) -> str:
     is proven for all pairs: then "unstable" if one of them is proven to be off the unit circle.
 
     The multipliers of a shift come in pairs m, 1/m, so that the characteristic polynomial is one of
-    m + 1/m, whose signs between its roots are tested. Where no pair is left, the whole derivative
-    decides.
+    m + 1/m, whose signs between its roots are tested. Where no pair is left, the derivative over
+    the period decides: over one shift it is not the identity where the shift is not.
     """
     polynomial = matrix.charpoly()
     coefficients = [polynomial[i] for i in range(matrix.nrows() + 1)]

@@ -125,12 +125,11 @@ class SquareSystem:
         if self._free:
             self.middle_period += float(correction[-1])
 
-    def distances(self) -> np.ndarray:
-        """Bounds on the corrections of the unknowns."""
+    def distance(self, radii: np.ndarray) -> float:
+        """The largest distance of unknowns within radii from numerical states, in their sizes."""
         apart = np.abs(self.states - self.numerical)
-        first = np.where(self._basis != 0, apart[0][:, None], 0.0).max(axis=0)
-        period = [abs(self.middle_period - self._numerical_period)] * self._free
-        return np.asarray(up(np.concatenate([first, *apart[1:], period])))
+        shares = [(row + self.start(k, radii).radius) / self.scale for k, row in enumerate(apart)]
+        return float(up(np.max(shares)))
 
     # -- enclosures ------------------------------------------------------------------------------
 

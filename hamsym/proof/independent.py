@@ -21,6 +21,7 @@ from hamsym.problems.description import described, described_formula
 from hamsym.proof.checker.equilibria import check_equilibrium
 from hamsym.proof.checker.formulas import NotProvenError
 from hamsym.proof.checker.invariants import check_invariant
+from hamsym.proof.checker.orbits import check_orbit
 from hamsym.proof.checker.solutions import check_solution
 from hamsym.proof.windows.certificate import Certificate
 from hamsym.random_features.trial import FeatureTrial
@@ -50,6 +51,42 @@ def verify_solution(
             json.loads(claims.to_json()),
             lambda: check_time("the independent checker ran"),
         )
+
+
+def verify_orbit(
+    claims: hamsym.OrbitCertificate, orbit: hamsym.PeriodicOrbit, check_time: Callable[[str], None]
+) -> None:
+    """Prove a certificate of a periodic orbit again, but not that no other one is near."""
+    claims.require_form(orbit)
+    with refusals():
+        check_orbit(
+            described(orbit.H),
+            _orbit_data(orbit),
+            json.loads(claims.to_json()),
+            lambda: check_time("the independent checker ran"),
+        )
+
+
+def _orbit_data(orbit: hamsym.PeriodicOrbit) -> dict[str, Any]:
+    problem, closing, arc = orbit.problem, orbit.problem.closing, orbit.arc
+    maps = [
+        None if each is None else ([*each.places], [*each.signs])
+        for each in (closing.shift, closing.first, closing.last)
+    ]
+    exact, period = problem.exact_period, None
+    if problem.period is not None:
+        if exact is None:
+            raise CertificationError("the orbit has no exact period; find it with period=")
+        period = described_formula(exact.formula, orbit.H.names)
+    return {
+        "shift": maps[0],
+        "reversing": None if maps[1] is None else maps[1:],
+        "energy": problem.energy,
+        "period": period,
+        "edges": arc.edges.tolist(),
+        "ends": arc.ends.tolist(),
+        "sizes": arc.scale.tolist(),
+    }
 
 
 def verify_equilibrium(found: hamsym.Equilibrium, H: Hamiltonian) -> None:

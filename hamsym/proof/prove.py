@@ -25,7 +25,12 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof.arithmetic.float64_arithmetic import require_float64
 from hamsym.proof.boxes.box_certificate import BoxCertificate, map_digest
 from hamsym.proof.boxes.box_proof import certify_box, proven_bound
-from hamsym.proof.independent import verify_equilibrium, verify_invariant, verify_solution
+from hamsym.proof.independent import (
+    verify_equilibrium,
+    verify_invariant,
+    verify_orbit,
+    verify_solution,
+)
 from hamsym.proof.limits import Deadline
 from hamsym.proof.windows.certificate import (
     LEAST_RTOL,
@@ -244,9 +249,10 @@ def verify(
         small one on python-flint that shares no line with it. It parses H itself, encloses the
         exact solution by another lemma in ball arithmetic, and proves the very numbers of the
         certificate, in five to forty times the time; ten times the default limit is allowed.
-        It covers certificates of solutions; and beside certificates an equilibrium that
-        :func:`hamsym.equilibria` found (its ball, its type and its stability, not that a list is
-        complete) and an invariant, each with its Hamiltonian as the result.
+        It covers certificates of solutions, and of periodic orbits of an H without explicit time
+        and without further integrals, except ``unique_within``; and beside certificates an
+        equilibrium that :func:`hamsym.equilibria` found (its ball, its type and its stability, not
+        that a list is complete) and an invariant, each with its Hamiltonian as the result.
 
     Raises
     ------
@@ -273,10 +279,10 @@ def verify(
         raise InputError(
             f"certificate must be a certificate or its text, not {type(certificate).__name__}"
         )
-    if independent and not isinstance(certificate, Certificate):
+    if independent and not isinstance(certificate, (Certificate, hamsym.OrbitCertificate)):
         raise InputError(
-            'checker="independent" covers certificates of solutions, equilibria and invariants, '
-            'not certificates of flow maps, orbits and sections; give checker="kernel" for those'
+            'checker="independent" covers certificates of solutions and orbits, equilibria and '
+            'invariants, not those of flow maps and sections; give checker="kernel" for these'
         )
     if isinstance(certificate, Certificate):
         solution = _of_kind(Solution, result)
@@ -288,9 +294,12 @@ def verify(
     elif isinstance(certificate, hamsym.SectionCertificate):
         certificate.verify(_of_kind(hamsym.Section, result))
     else:
-        deadline = _deadline(time_limit, certificate.seconds)
+        deadline = _deadline(time_limit, certificate.seconds, 10.0 if independent else 1.0)
         orbit = _of_kind(hamsym.PeriodicOrbit, result)
-        certificate.verify(orbit, time_limit=deadline.left)
+        if independent:
+            verify_orbit(certificate, orbit, deadline.check)
+        else:
+            certificate.verify(orbit, time_limit=deadline.left)
 
 
 def _of_kind(kind: type, result: Any) -> Any:

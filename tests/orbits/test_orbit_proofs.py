@@ -10,6 +10,7 @@ import sympy
 
 import hamsym
 from hamsym.errors import CertificationError
+from hamsym.numerics.collocation import collocation
 from hamsym.orbits.proven_stability import WEAKER, proven_stability
 from hamsym.orbits.symmetry import SignedPermutation, closing_of
 from hamsym.symbolic.exact import fraction
@@ -289,6 +290,25 @@ def test_displaced_orbit_has_a_bound_above_its_error(change):
     certificate = displaced(orbit, change).certify()
     assert certificate.bound >= 0.99 * change
     assert contains(certificate.period, exact_period(1.0))
+
+
+def test_bound_counts_components_that_the_symmetry_makes_zero():
+    orbit = hamsym.periodic_orbit(DUFFING, [1.0, 0.0], symmetry={"p": "-p"})
+    arc = orbit.arc
+    ends, values = arc.ends.copy(), arc.values.copy()
+    ends[0, 1] += 1e-7
+    values[0, :, 1] += 1e-7 * (1 - collocation(values.shape[1]).nodes)
+    moved = dataclasses.replace(orbit, arc=dataclasses.replace(arc, ends=ends, values=values))
+    assert moved.certify().bound > 0.99e-7 / arc.scale[1]
+
+
+def test_harmonic_motion_with_a_symmetry_across_it_is_not_claimed_parabolic():
+    # the derivative over a period is the identity, that over one shift is the symmetry
+    orbit = hamsym.periodic_orbit(
+        "(p_x**2 + p_y**2 + x**2 + y**2)/2", [1, 0, 0, 0], symmetry={"y": "-y", "p_y": "-p_y"}
+    )
+    assert orbit.certify().stability == "undecided"
+    assert orbit.stability == "elliptic"
 
 
 @pytest.mark.slow_cases("0.2")

@@ -42,6 +42,10 @@ class NotProvenError(Exception):
     """A claim is not proven, or what it is about is not covered."""
 
 
+class FalseClaimError(NotProvenError):
+    """A claim is proven to be false."""
+
+
 class Formulas:
     """Operations on numbers, the variables and earlier operations.
 
@@ -67,6 +71,9 @@ class Formulas:
 
     def number(self, value: Fraction | int) -> int:
         return self._of("number", Fraction(value))
+
+    def variable(self, k: int) -> int:
+        return self._of("variable", k)
 
     def value(self, place: int) -> Fraction | None:
         """The value of a number; None of another operation."""
@@ -185,16 +192,16 @@ class Formulas:
             return [(a, self.multiply(self.number(b), self.power(a, b - 1)))]
         return [(a, self.parse(_SLOPES[name], a))]
 
-    def at_zero(self, place: int, variables: set[int]) -> int:
-        """The operation with zero for some variables."""
+    def replaced(self, place: int, values: Mapping[int, int]) -> int:
+        """The operation with other ones for some variables."""
         found: list[int] = []
         rules: dict[str, Callable[..., int]] = {
             "+": self.add, "*": self.multiply, "**": self.power
         }  # fmt: skip
         for name, *arguments in self.operations[: place + 1]:
             if name in ("number", "pi", "variable"):
-                rest = name == "variable" and arguments[0] in variables
-                found.append(self.number(0) if rest else self._of(name, *arguments))
+                own = self._of(name, *arguments)
+                found.append(values.get(arguments[0], own) if name == "variable" else own)
                 continue
             moved = [found[a] if isinstance(a, int) else a for a in arguments]
             found.append(rules[name](*moved) if name in rules else self._of(name, *moved))

@@ -11,7 +11,7 @@ import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from typing import Any, Protocol
 
 from flint import acb, acb_poly, arb, arb_mat, arb_poly, arb_series, ctx
 
@@ -20,6 +20,17 @@ from hamsym.proof.checker.formulas import Formulas, NotProvenError, ball
 UNIT = arb(0, 1)  # all numbers up to 1 in size
 _COARSE = 53  # bits of values on discs
 _RADII, _DIVISIONS = (6, 5), 4  # of discs that are tried, and squares on a radius
+
+
+class Rates(Protocol):
+    """dz/dt = f(t, z): f from (z, t), and entries (i, j, ...) of Df that are not zero, before f."""
+
+    dim: int
+    entries: list[tuple[int, int, int]]
+
+    def run_rates(self, variables: Sequence[Any], /) -> list[Any]: ...
+
+    def run_all(self, variables: Sequence[Any], /) -> list[Any]: ...
 
 
 class Equations:
@@ -46,6 +57,9 @@ class Equations:
             self.rates.append(formulas.add(formulas.negative(slope), pull))
         #: Whether H is constant along every solution, as far as that is plain.
         self.conserved = not any(forces) and formulas.value(by_time) == 0
+        later = [formulas.gradient(rate, self.dim + 1)[self.dim] for rate in self.rates]
+        #: Whether the rates do not contain the time, as far as that is plain.
+        self.autonomous = all(formulas.value(rate) == 0 for rate in later)
         rows = [formulas.gradient(rate, self.dim) for rate in self.rates]
         places = [(i, j, place) for i, row in enumerate(rows) for j, place in enumerate(row)]
         self.entries = [entry for entry in places if formulas.value(entry[2]) != 0]
@@ -55,8 +69,8 @@ class Equations:
 
     def resting(self, zero: set[int]) -> set[int]:
         """Components that stay exactly zero, of those that are zero at the start."""
-        at_zero, value = self.formulas.at_zero, self.formulas.value
-        still = {i for i in zero if value(at_zero(self.rates[i], zero)) == 0}
+        value, nothing = self.formulas.value, dict.fromkeys(zero, self.formulas.number(0))
+        still = {i for i in zero if value(self.formulas.replaced(self.rates[i], nothing)) == 0}
         return zero if still == zero else self.resting(still)
 
 
@@ -164,7 +178,7 @@ def total(parts: Sequence[arb_mat]) -> arb_mat:
     return sum(parts[1:], parts[0])
 
 
-def matrices(equations: Equations, rows: list[list[arb]], r: Fraction) -> list[arb_mat]:
+def matrices(equations: Rates, rows: list[list[arb]], r: Fraction) -> list[arb_mat]:
     """Coefficients of r Df from those of its entries."""
     n, found = equations.dim, []
     for k in range(len(rows[0])):

@@ -14,8 +14,8 @@ from flint import arb, arb_mat, arb_poly
 
 from hamsym.proof.checker.formulas import NotProvenError, ball
 from hamsym.proof.checker.functions import (
-    Equations,
     Polynomial,
+    Rates,
     coefficients,
     column,
     end_of,
@@ -26,7 +26,7 @@ from hamsym.proof.checker.functions import (
     total,
 )
 
-SHORT = 14  # degree of V and W
+SHORT = 14  # degree of V and W, where no derivative of the flow is needed
 _NEWTON = 12  # most corrections of y
 _ROUGH, _CLOSE = 2.0**-30, 2.0**30  # correction that changes V and W; the last one, in accuracies
 
@@ -52,7 +52,7 @@ def factor_of(y: Sequence[Polynomial], order: int, accuracy: float, scales: Sequ
 
 
 def guess(
-    equations: Equations,
+    equations: Rates,
     z: Sequence[arb],
     near: Sequence[arb_poly],
     middle: Fraction,
@@ -60,11 +60,13 @@ def guess(
     order: int,
     accuracy: float,
     scales: list[arb],
+    degree: int,
 ) -> Guess:
     """Newton's method from polynomials near the solution, as those of the step before.
 
     - z: The state at the start of the step, t = middle - r.
     - scales: Sizes of the components so far, which are updated.
+    - degree: Of V and W.
     """
     change, y = 1.0, [Polynomial([c.mid() for c in part.coeffs()]) for part in near]
 
@@ -73,7 +75,7 @@ def guess(
 
     for _ in range(_NEWTON):
         if change > _ROUGH:
-            rows = series_of(lambda x: equations.run_all(at(x)), SHORT)
+            rows = series_of(lambda x: equations.run_all(at(x)), degree)
             A = matrices(equations, rows, r)
             W, V = _flow(A, True), _flow(A, False)
         rates = series_of(lambda x: equations.run_rates(at(x)), order)
@@ -101,7 +103,7 @@ def guess(
 def _flow(A: list[arb_mat], inverse: bool) -> list[arb_mat]:
     """About the solution of V' = A V, or of W' = -W A, with the identity at x = 0."""
     found = [identity(A[0].nrows())]
-    for k in range(SHORT):
+    for k in range(len(A)):
         pairs = zip(A[: k + 1], reversed(found), strict=True)
         products = [-(w * a) if inverse else a * w for a, w in pairs]
         found.append((total(products) / arb(k + 1)).mid())

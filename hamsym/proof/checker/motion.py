@@ -18,6 +18,10 @@ So |u| <= U + 2 |P| (sup|dW/dx + W A| T + sup|W| sup|D|) where U bounds |u| at t
 in every component. If the right-hand side is below T, then |e| < T never ends within the step, and
 the solution exists there. P, about the inverse of the derivative by the initial state, makes u
 nearly constant over all steps, so that errors are added and never wrapped.
+
+The difference of two solutions within the tube has the same equation without D, times their
+difference at the start. So for all starts within radii of one of them, the bounds are found column
+by column, one of e and one for each component of the start, where u begins as a unit vector.
 """
 
 from __future__ import annotations
@@ -33,9 +37,9 @@ from hamsym.proof.checker import guesses
 from hamsym.proof.checker.formulas import NotProvenError, ball
 from hamsym.proof.checker.functions import (
     UNIT,
-    Equations,
     Expansion,
     Polynomial,
+    Rates,
     coefficients,
     column,
     end_of,
@@ -53,6 +57,35 @@ _TUBES = 4  # attempts at a tube
 
 
 @dataclass(frozen=True)
+class End:
+    """What is known at the end of a step: balls of y(1), and the bounds.
+
+    - U: On u, of the solution from z0, and on changes of u for a difference of one at the start in
+      each component.
+    - tube: On e, and on these differences.
+    """
+
+    z: list[arb]
+    U: arb_mat
+    S: arb_mat  # about the inverse of the derivative by the initial state, F
+    F: arb_mat
+    PW: arb_mat
+    tube: arb_mat
+
+    def state(self) -> arb_mat:
+        """The solution from z0."""
+        return column([z + self.tube[i, 0] * UNIT for i, z in enumerate(self.z)])
+
+    def derivative(self) -> arb_mat:
+        """All derivatives by the start, and averages of them."""
+        U, one = self.U, identity(len(self.z))
+        try:
+            return self.PW.solve(_columns(U, 1, U.ncols()) * UNIT + one)
+        except ZeroDivisionError:
+            raise NotProvenError("the derivative of the flow is not bounded") from None
+
+
+@dataclass(frozen=True)
 class Step:
     """A step on which |z_i - y_i(x)| <= tube_i, t = middle + r x."""
 
@@ -60,6 +93,7 @@ class Step:
     r: Fraction
     y: list[Polynomial]
     tube: list[arb]
+    end: End
 
     def line(self, middle: Fraction, r: Fraction) -> arb_poly:
         """x of this step in terms of that of another one."""
@@ -78,31 +112,37 @@ def _distance(X: list[arb_mat], Y: list[arb_mat], Z: list[arb_mat]) -> arb_mat:
     return total([*parts, *(sizes(x) * tails[i] for i, x in enumerate(X))])
 
 
-@dataclass(frozen=True)
-class _State:
-    """What is known at the end of a step: balls of y(1), and the bounds."""
+def _columns(matrix: arb_mat, first: int, end: int) -> arb_mat:
+    rows = [[row[k] for k in range(first, end)] for row in matrix.tolist()]
+    return arb_mat(matrix.nrows(), end - first, [value for row in rows for value in row])
 
-    z: list[arb]
-    U: arb_mat
-    S: arb_mat  # about the inverse of the derivative by the initial state, F
-    F: arb_mat
-    PW: arb_mat
-    tube: arb_mat
+
+def _beside(left: arb_mat, columns: arb_mat) -> arb_mat:
+    return arb_mat([[*a, *b] for a, b in zip(left.tolist(), columns.tolist(), strict=True)])
 
 
 def steps(
-    equations: Equations,
-    z0: Sequence[float],
+    equations: Rates,
+    z0: Sequence[float | arb],
     span: Sequence[float | Fraction],
     order: int,
     accuracy: float,
     check_time: Callable[[], None],
+    radii: Sequence[arb] = (),
+    degree: int = guesses.SHORT,
 ) -> Iterator[Step]:
-    """The steps of a proof from z0 over a span."""
+    """The steps of a proof from z0 over a span.
+
+    - z0: Exact numbers.
+    - radii: Of the starts around z0 for which the steps hold too, with derivatives at their ends;
+      by default none.
+    - degree: Of the polynomials V and W; derivatives are as exact as they are.
+    """
     time, end = (Fraction(value) for value in span)
-    zeros, one, length = arb_mat(equations.dim, 1), identity(equations.dim), end - time
-    state = _State([arb(value) for value in z0], zeros, one, one, one, zeros)
-    step, r = Step(time, length, [Polynomial([value]) for value in state.z], []), length / 64
+    zeros, one, length = arb_mat(equations.dim, 1 + len(radii)), identity(equations.dim), end - time
+    tube = _beside(arb_mat(equations.dim, 1), one) if radii else zeros
+    state = End([arb(value) for value in z0], zeros, one, one, one, tube)
+    step, r = Step(time, length, [Polynomial([value]) for value in state.z], [], state), length / 64
     scales = [abs(value) for value in state.z]
     while time != end:
         check_time()
@@ -110,11 +150,13 @@ def steps(
         r = rest if abs(r) >= abs(rest) else min(r, rest / 2, key=abs)
         try:
             near = [part.real(step.line(time + r, r)) for part in step.y]
-            guess = guesses.guess(equations, state.z, near, time + r, r, order, accuracy, scales)
+            guess = guesses.guess(
+                equations, state.z, near, time + r, r, order, accuracy, scales, degree
+            )
             factor = guesses.factor_of(guess.y, order, accuracy, scales)
             if not factor > 0.8:
                 raise NotProvenError("the solution changes too fast")
-            step, state = _proven(equations, state, time + r, r, guess, order)
+            step, state = _proven(equations, state, time + r, r, guess, order, radii)
         except NotProvenError as error:
             if not abs(r) > abs(length) * _SHORTEST:
                 raise NotProvenError(f"no proof beyond t = {float(time)}: {error}") from None
@@ -132,42 +174,52 @@ def _defect(y: Polynomial, r: Fraction, f: Expansion) -> arb:
 
 
 def _proven(
-    equations: Equations,
-    before: _State,
+    equations: Rates,
+    before: End,
     middle: Fraction,
     r: Fraction,
     guess: guesses.Guess,
     order: int,
-) -> tuple[Step, _State]:
+    radii: Sequence[arb],
+) -> tuple[Step, End]:
     """Prove a step by the lemma of the module's docstring."""
     y, V, W, one = guess.y, guess.V, guess.W, identity(equations.dim)
+
+    share, others = column([arb(1), *radii]), arb_mat(equations.dim, len(radii))
+    units = _beside(arb_mat(equations.dim, 1), one) if radii else arb_mat(equations.dim, 1)
+
+    def whole(tube: arb_mat) -> list[arb]:
+        return (tube * share).entries()
 
     def rates(x: Any) -> list[Any]:
         return equations.run_rates([*(part(x) for part in y), time_at(middle, r, x)])
 
     def around(x: Any) -> list[Any]:
-        near = [part(x) + T * UNIT for part, T in zip(y, tube.entries(), strict=True)]
+        near = [part(x) + T * UNIT for part, T in zip(y, whole(tube), strict=True)]
         return equations.run_all([*near, time_at(middle, r, x)])
 
     D = column([_defect(part, r, f) for part, f in zip(y, expanded(rates, order), strict=True)])
+    D = _beside(D, others)
     slope = [-(part * arb(k)) for k, part in enumerate(W)][1:]  # of -W
     P, Q = (before.S * end_of(V, -1)).mid(), (end_of(W, -1) * before.F).mid()
     start = P * end_of(W, -1)
     gap = column([a - part(arb(-1)) for a, part in zip(before.z, y, strict=True)])
-    U = before.U + sizes(start - before.PW) * before.tube + sizes(start) * sizes(gap)
+    U = before.U + sizes(start - before.PW) * before.tube
+    U += _beside(sizes(start) * sizes(gap), others)
     P_size, Q_size, two = sizes(P), sizes(Q), arb(2)
     V_size, W_size = total([sizes(v) for v in V]), total([sizes(w) for w in W])
     inverse, rest = sizes(one - Q * P), _distance(V, W, [one])
-    found = V_size * (Q_size * (U + P_size * (W_size * D) * two))
+    found = V_size * (Q_size * (U + units + P_size * (W_size * D) * two))
     for _ in range(_TUBES):
-        tube = column([arb(3) / 2 * value.abs_upper() + _TINY for value in found.entries()])
-        rows = [[*e.first, e.rest()] for e in expanded(around, guesses.SHORT)]
+        wider = [arb(3) / 2 * value.abs_upper() + _TINY for value in found.entries()]
+        tube = arb_mat(equations.dim, 1 + len(radii), wider)
+        rows = [[*e.first, e.rest()] for e in expanded(around, len(V) - 1)]
         E = _distance(W, matrices(equations, rows, r), slope)
         u = U + P_size * (E * tube + W_size * D) * two
-        found = V_size * (Q_size * u + inverse * (W_size * tube)) + rest * tube
+        found = V_size * (Q_size * (u + units) + inverse * (W_size * tube)) + rest * tube
         if all(a < b for a, b in zip(found.entries(), tube.entries(), strict=True)):
-            step = Step(middle, r, y, [value.abs_upper() for value in found.entries()])
             z, PW = [part(arb(1)) for part in y], P * end_of(W, 1)
             F = (end_of(V, 1) * Q).mid()
-            return step, _State(z, sizes(u), PW.mid(), F, PW, sizes(found))
+            end = End(z, sizes(u), PW.mid(), F, PW, sizes(found))
+            return Step(middle, r, y, [value.abs_upper() for value in whole(found)], end), end
     raise NotProvenError("the bound on the distance of the solution does not close")

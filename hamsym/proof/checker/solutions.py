@@ -16,7 +16,7 @@ from typing import Any
 
 from flint import arb, arb_poly, ctx
 
-from hamsym.proof.checker.formulas import NotProvenError, ball
+from hamsym.proof.checker.formulas import FalseClaimError, NotProvenError, ball
 from hamsym.proof.checker.functions import UNIT, Equations, Polynomial, expanded, time_at
 from hamsym.proof.checker.motion import Step, steps
 from hamsym.proof.checker.trials import Window, windows
@@ -29,10 +29,6 @@ _COARSE = 80  # bits of sums of squares
 _NEGLIGIBLE = arb(2) ** -60
 
 Bound = Fraction | float  # a float is infinite
-
-
-class FalseClaimError(NotProvenError):
-    """A claim is proven to be false."""
 
 
 def check_solution(
