@@ -100,7 +100,8 @@ def test_pulse_is_resolved_or_refused_with_a_tolerance(name: str) -> None:
     found = hamsym.integrate(OSCILLATOR + PULSES[name], [1.0, 0.0], (0, 10), tol=1e-4, saves=1)
     ends = np.cos(10) + np.sqrt(np.pi) / 10 * np.sin(6.63), -0.236608, -0.603493, -0.784830
     end = dict(zip(PULSES, ends, strict=True))[name]
-    assert found.success is (name != "one of few floats")
+    # The others need more steps of equal size than are taken, or numbers than there are.
+    assert found.success is (name not in ("one tooth of a comb", "one of few floats"))
     assert found.success or "feature narrower than a step near t = 3.37" in found.message
     assert not found.success or abs(found.z[-1, 0] - end) <= 1e-4
 
