@@ -92,7 +92,7 @@ class BlockSolver:
         states, parameters = self._members.states[chunk], self._members.parameters[chunk]
         batch = None
         if (solver := self._family.solver) is not None:
-            batch = solver.solve(states, parameters, keep_error=False)
+            batch = solver.solve(states, parameters)
             if self._known:
                 batch = self._conserving(batch, parameters, self._known)
         return batch, max(time.perf_counter() - began, 1e-6)

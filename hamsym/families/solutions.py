@@ -30,11 +30,10 @@ from hamsym.random_features.method import (
     accepted_march,
     basis_for,
     checked_accuracy,
-    state_of,
+    met_message,
 )
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
-from hamsym.solution.acceptance import met, with_error
 from hamsym.solution.settings import Settings
 from hamsym.solution.solution import Solution
 from hamsym.solution.times import times_in_span
@@ -238,8 +237,7 @@ class Solutions(Drawn, Saved):
     def _message(self, member: int) -> str:
         table = self.table
         if table.status[member] == ACCEPTED:
-            state = with_error(state_of(table.counts[member]), table.excess[member])
-            return met(self.tol, state)
+            return met_message(self.tol, table.counts[member], table.excess[member])
         if table.status[member] == OPEN:
             return table.stopped
         return table.notes[member].message
@@ -293,13 +291,12 @@ class Solutions(Drawn, Saved):
         wall, cpu = time.perf_counter(), time.thread_time()
         basis, error = basis_for(family.seed, accuracy.tol), None
         if family.solver is not None and np.array_equal(basis.series, family.series):
-            parameters = table.parameters[member : member + 1]
-            batch = family.solver.solve(z0[None], parameters, keep_error=True)
-            if batch.accepted[0] and all(
-                np.array_equal(getattr(batch, name), getattr(own, name))
+            found = family.solver.solve_one(z0, table.parameters[member].copy())
+            if found is not None and all(
+                np.array_equal(getattr(found.march, name), getattr(own, name))
                 for name in ("edges", "states", "readouts")
             ):
-                error = family.solver.error_of(batch)
+                error = found.error
         seconds = time.perf_counter() - wall, time.thread_time() - cpu
         march = march_of(
             (own.edges.copy(), own.states.copy(), own.readouts.copy()),

@@ -44,7 +44,7 @@ _SIGNATURES = {
     "hamsym_first_length": "d pppppdd",
     "hamsym_march": "i pppppi",
     "hamsym_errors": "i ppppppppi",
-    "hamsym_members": "i pppppppippippp",
+    "hamsym_members": "i ppppp",
     "hamsym_models": "i ppipppipp",
     "hamsym_residual_bounds": "i pppipppppipp",
     "hamsym_bounded": "i pppp",
@@ -77,9 +77,11 @@ def typed(found: ctypes.CDLL, name: str, signature: str) -> Any:
 
 def address(array: np.ndarray) -> int:
     """Return where the numbers of an array are, in a quarter of the time of ``array.ctypes``."""
+    if not array.size:
+        return 0
     try:
         return ctypes.addressof(ctypes.c_char.from_buffer(array))  # type: ignore[arg-type]
-    except (TypeError, ValueError, BufferError):  # it is read only, empty, or has gaps
+    except (TypeError, ValueError, BufferError):  # it is read only, or has gaps
         return int(array.ctypes.data)
 
 
@@ -89,19 +91,19 @@ class Record(ctypes.Structure):
     _lanes = ""  # counts that must be multiples of LANES
 
     def __init__(self, **values: Any) -> None:
-        super().__init__()
         self._values = values
         self.arrays: dict[str, Any] = {}
+        given = values.copy()
         for name, value in values.items():
-            if isinstance(value, np.ndarray):
+            if isinstance(value, ctypes.Structure):
+                self.arrays[name] = value
+                given[name] = ctypes.addressof(value)
+            elif isinstance(value, np.ndarray):
                 if value.dtype.kind == "f":
                     value = np.ascontiguousarray(value, dtype=float)
                 self.arrays[name] = value
-                value = address(value)
-            elif isinstance(value, ctypes.Structure):
-                self.arrays[name] = value
-                value = ctypes.addressof(value)
-            setattr(self, name, value)
+                given[name] = address(value)
+        super().__init__(**given)
         for name in self._lanes.split():
             if getattr(self, name) % LANES:
                 raise ValueError(f"{name}={getattr(self, name)} is not a multiple of {LANES}")
@@ -112,10 +114,6 @@ class Record(ctypes.Structure):
     def __getitem__(self, name: str) -> np.ndarray:
         """Return an array that the structure points to."""
         return self.arrays[name]
-
-    def has(self, name: str) -> bool:
-        """Return whether the structure has an array."""
-        return name in self.arrays
 
 
 def _made(kind: type[Record], values: dict[str, Any]) -> Record:
@@ -246,9 +244,12 @@ class Equations(Record):
 
     def check(self) -> None:
         """Raise what a function of rows raised."""
-        for name in ("velocity", "force", "hessian", "energy"):
-            if name in self.arrays:
-                self.arrays[name].check()
+        for program in self._called:
+            program.check()
+
+    @functools.cached_property
+    def _called(self) -> list[Program]:
+        return [program for program in self.arrays.values() if program.function]
 
 
 class Tables(Record):
@@ -337,14 +338,22 @@ class ErrorResults(Record):
     _fields_ = arrays("joint history series floor largest mark")
 
 
-class Span(Record):
-    """Constants of all members."""
+class Shared(Record):
+    """What the members of one H share, also over other spans."""
 
     _fields_ = [
-        *numbers("start end tolerance local longest shortest rounded"),
+        *arrays("equations tables error_tables actions bounds"),
+        *counts("width period"),
+        *arrays("sign disturbance kick"),
+        *numbers("local rounded"),
         *numbers("margin least_step most_step smallest tighter accuracy fewest"),
-        *arrays("absolute"),
     ]
+
+
+class Span(Record):
+    """The span of all members, and its accuracy."""
+
+    _fields_ = [*numbers("start end tolerance longest shortest"), *arrays("absolute")]
 
 
 class Members(Record):
@@ -461,26 +470,17 @@ def carry_errors(
 
 
 def solve_members(
-    H: Equations,
-    tables: Tables,
-    error_tables: ErrorTables,
-    actions: Actions,
-    bounds: BoundTables | None,
+    shared: Shared,
     span: Span,
-    signs: np.ndarray,
-    disturbances: np.ndarray,
-    kicks: np.ndarray,
     starts: np.ndarray,
     parameters: np.ndarray,
     members: Members,
 ) -> int:
     """Solve members until the room for windows is full; return how many were solved."""
     done = library().hamsym_members(
-        *map(ctypes.byref, (H, tables, error_tables, actions)),
-        *(bounds and ctypes.byref(bounds), ctypes.byref(span)),
-        *(signs.ctypes.data, signs.shape[1], disturbances.ctypes.data, kicks.ctypes.data),
-        *(len(kicks), starts.ctypes.data, parameters.ctypes.data, ctypes.byref(members)),
+        *(ctypes.byref(shared), ctypes.byref(span), address(starts), address(parameters)),
+        ctypes.byref(members),
     )
-    H.check()
+    shared.arrays["equations"].check()
     require_memory(done >= 0)
     return int(done)

@@ -13,14 +13,26 @@
 
 enum verdict { ACCEPTED, LEFT };
 
-/* Constants of all members; times are relative to the origin. */
+/* What the members of one H share. Without the tables of bounds no window needs one. */
 typedef struct {
-  double start, end, tolerance, local, longest, shortest, rounded;
+  const equations *H;
+  const tables *t;
+  const error_tables *e;
+  const actions *a;
+  const bound_tables *b;
+  int64_t width, period; /* numbers in a row of signs; windows with kicks of their own */
+  const double *sign, *disturbance, *kick;
+  double local, rounded; /* local tolerance of the first march; see errors.h */
   /* Of the local tolerance from one march to the next: share of the allowed error at which it aims, and limits of
      the step; below the smallest one residuals are round-off. */
   double margin, least_step, most_step, smallest;
   double tighter;           /* excess that errors beyond the linear equation count as, at least */
   double accuracy, fewest;  /* of the vectors of the error after all windows, and the least number of these */
+} shared;
+
+/* Times are relative to the origin. */
+typedef struct {
+  double start, end, tolerance, longest, shortest;
   const double *absolute; /* absolute tolerance, dim */
 } span;
 
@@ -84,12 +96,15 @@ static int keeps_energy(machine *energy, marching *m, const equations *H, const 
   return 1;
 }
 
-/* Solve members until the room for windows is full; return how many were solved, -1 without memory. Without tables b no
-   window needs a bound; what is not bounded is left to the caller, with a mark. */
-EXPORTED int64_t hamsym_members(const equations *H, const tables *t, const error_tables *e, const actions *a,
-                                const bound_tables *b, const span *span, const double *signs, int64_t width, const double *disturbances,
-                                const double *kicks, int64_t period, const double *starts, const double *parameters,
+/* Solve members until the room for windows is full; return how many were solved, -1 without memory. Windows that are
+   not bounded are left to the caller, with a mark. */
+EXPORTED int64_t hamsym_members(const shared *all, const span *span, const double *starts, const double *parameters,
                                 members *r) {
+  const equations *H = all->H;
+  const tables *t = all->t;
+  const error_tables *e = all->e;
+  const actions *a = all->a;
+  const bound_tables *b = all->b;
   long dim = H->dim, many = H->velocity->parameters, vectors = dim * (e->perturbations + 2);
   marching m;
   carrying c;
@@ -121,19 +136,23 @@ EXPORTED int64_t hamsym_members(const equations *H, const tables *t, const error
     windows w = {r->room - done, r->readout, r->edge + first, r->state + first * dim,
                  r->coefficient + done * r->readout * dim};
     double *size = r->size + member * dim, *largest = r->largest + member * dim;
-    settings s = {1, width, 1, span->local, span->shortest, span->longest, &stop, floors, signs, values};
+    settings s = {1, all->width, 1, all->local, span->shortest, span->longest, &stop, floors, all->sign, values};
     progress p = {clock, counts, size, tail, found};
     set_parameters(&m.velocity, values, m.stride);
     set_parameters(&m.force, values, m.stride);
     for (long i = 0; i < dim; i++) fill(m.disturbed + i * 8, z[i], 8);
     fill(m.late, span->start, 8);
     evaluate(&m.velocity, &m.force, m.disturbed, m.late, 8, rates);
-    for (long i = 0; i < dim; i++) rates[i] = rates[i * 8];
+    int finite = 1;
+    for (long i = 0; i < dim; i++) {
+      rates[i] = rates[i * 8];
+      finite &= fabs(rates[i]) < INFINITY;
+    }
     double length = first_length(&m, H, z, rates, span->start, span->end), excess = INFINITY;
     enum verdict verdict = LEFT;
     long count = 0, evaluations = 2;
     int full = 0;
-    for (int attempt = 0; attempt < ATTEMPTS; attempt++) {
+    for (int attempt = 0; finite && attempt < ATTEMPTS; attempt++) {
       w.edge[0] = clock[0] = span->start;
       clock[1] = length;
       clock[2] = 0.0;
@@ -154,8 +173,8 @@ EXPORTED int64_t hamsym_members(const equations *H, const tables *t, const error
       double squares = 0.0;
       for (long k = 0; k < count; k++) squares += (w.edge[k + 1] - w.edge[k]) * (w.edge[k + 1] - w.edge[k]);
       for (long i = 0; i < dim; i++) scale[i] = size[i] > 0.0 ? size[i] : 1.0;
-      error_settings es = {period, 0, s.tolerance, span->accuracy / greater(count, span->fewest), squares / whole, span->rounded,
-                           scale, size, disturbances, kicks, values, 0};
+      error_settings es = {all->period, 0, s.tolerance, all->accuracy / greater(count, all->fewest), squares / whole,
+                           all->rounded, scale, size, all->disturbance, all->kick, values, 0};
       error_results er = {joint, history, r->series ? r->series + done * e->places * dim : 0,
                           r->floor ? r->floor + done * dim : 0, largest, r->mark + done};
       joint_errors(&w, t, dim, count, jumps);
@@ -171,7 +190,7 @@ EXPORTED int64_t hamsym_members(const equations *H, const tables *t, const error
       }
       int marked = 0;
       for (long k = 0; k < count; k++) marked |= er.mark[k];
-      if (marked & BENT) excess = larger(span->tighter, excess);
+      if (marked & BENT) excess = larger(all->tighter, excess);
       if (excess <= 1.0) {
         int good = !marked;
         if (good && H->energy) {
@@ -180,14 +199,14 @@ EXPORTED int64_t hamsym_members(const equations *H, const tables *t, const error
         }
         if (good) verdict = ACCEPTED;
         for (long k = 0; good && b && k < count; k++)
-          if (!is_bounded(&bounds, H, b, span->local, w.edge[k], w.edge[k + 1], w.state + k * dim,
+          if (!is_bounded(&bounds, H, b, all->local, w.edge[k], w.edge[k + 1], w.state + k * dim,
                           w.coefficient + k * w.readout * dim, w.readout, size, values))
             er.mark[k] |= UNBOUNDED;
         break;
       }
-      if (s.tolerance <= span->smallest || !(excess < INFINITY)) break;
-      double step = lesser(greater(span->margin / excess, span->least_step), span->most_step);
-      s.tolerance = greater(s.tolerance * step, span->smallest);
+      if (s.tolerance <= all->smallest || !(excess < INFINITY)) break;
+      double step = lesser(greater(all->margin / excess, all->least_step), all->most_step);
+      s.tolerance = greater(s.tolerance * step, all->smallest);
     }
     if (full) break;
     if (verdict == LEFT) count = 0;

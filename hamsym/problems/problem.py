@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -25,8 +26,6 @@ class InitialValueProblem:
     #: Shape (dim,).
     z0: np.ndarray
     span: tuple[float, float]
-    #: H at z0 and the start of the span.
-    energy_0: float
     seed: int = 0
     progress: bool | Callable[[Any], None] | None = None
     #: Relative tolerance, and whether it was given: a training then stops when it is met.
@@ -52,29 +51,52 @@ class InitialValueProblem:
         tol: float = 1e-9,
         atol: float | Sequence[float] = 0.0,
         breakpoints: Sequence[float] = (),
+        finite: bool = True,
         **further: Any,
     ) -> InitialValueProblem:
         """Make a problem from checked arguments; further fields are taken as they are.
 
         Raise InputError if H is not a Hamiltonian, a parameter has no value, or another argument is
         invalid.
+
+        - finite: Whether H and its gradient must be finite at z0; otherwise the caller requires it.
         """
         H = Hamiltonian.of(H)
         state = H.state_from(z0)
         times = checked_span(span)
-        energy_0 = _initial_energy(H, state, times[0])
         require_whole("seed", seed, 0)
-        return cls(
+        problem = cls(
             H,
             state,
             times,
-            energy_0,
             int(seed),
             tol=checked_tol(tol),
             atol=checked_atol(atol, H.dim),
             breakpoints=checked_breakpoints(breakpoints, times),
             **further,
         )
+        if finite:
+            problem.require_finite()
+        return problem
+
+    @cached_property
+    def energy_0(self) -> float:
+        """H at z0 and the start of the span.
+
+        Raise InputError if H or its gradient is not finite there.
+        """
+        system = self.H.compile("numpy")
+        arguments = system.arguments(self.z0, self.span[0])
+        with np.errstate(all="ignore"):
+            energy = float(system.energy(*arguments))
+            rates = system.vector_field(*arguments)
+        if not (math.isfinite(energy) and np.isfinite(rates).all()):
+            raise InputError("H or its gradient is not finite at z0; choose another initial state")
+        return energy
+
+    def require_finite(self) -> None:
+        """Raise InputError if H or its gradient is not finite at z0."""
+        _ = self.energy_0
 
     def window_ends(self) -> list[float]:
         """Return breakpoints and the times at which t switches H, in the direction of the span."""
@@ -83,16 +105,6 @@ class InitialValueProblem:
         given = self.breakpoints
         found = [t for t in times if all(abs(t - stop) > apart for stop in given)]
         return sorted([*given, *found], reverse=bool(self.span[1] < self.span[0]))
-
-
-def _initial_energy(H: Hamiltonian, state: np.ndarray, start: float) -> float:
-    system = H.compile("numpy")
-    with np.errstate(all="ignore"):
-        energy = float(system.energy(*system.arguments(state, start)))
-        rates = system.vector_field(*system.arguments(state, start))
-    if not (math.isfinite(energy) and np.isfinite(rates).all()):
-        raise InputError("H or its gradient is not finite at z0; choose another initial state")
-    return energy
 
 
 def checked_span(span: tuple[float, float]) -> tuple[float, float]:

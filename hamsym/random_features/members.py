@@ -12,13 +12,16 @@ What the loop over members (:func:`hamsym.kernel.loops.solve_members`) does not 
 
 from __future__ import annotations
 
+import functools
+import time
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.kernel import loops
-from hamsym.kernel.loops import Members, Span
+from hamsym.kernel.loops import Members, Shared, Span
 from hamsym.random_features.basis import FeatureBasis
 from hamsym.random_features.error_estimate import (
     ACCURACY,
@@ -30,9 +33,7 @@ from hamsym.random_features.error_estimate import (
     resolution_for,
     terms_of,
 )
-from hamsym.random_features.flow import (
-    flow_of,
-)
+from hamsym.random_features.flow import Flow, flow_of
 from hamsym.random_features.march import node_signs, origin_of, shortest_window
 from hamsym.random_features.window_checks import Pieces, WindowChecks, bound_tables
 from hamsym.random_features.windows import March
@@ -47,6 +48,10 @@ _ROOM = 64  # windows for each member at first
 _LEAST_ROOM = 1_024  # windows of one call
 _MOST_ROOM = 2**21  # numbers in the readouts of one call
 MAX_WINDOWS = 50_000  # of one member; more are left to the general march
+#: Memory of solutions of one member, by dimension, columns and places, for the next ones: to
+#: allocate it takes a tenth of a short march. So many are kept, for so many components at most.
+_SPARE: dict[tuple[int, int, int], Members] = {}
+_MOST_SPARE, _MOST_COMPONENTS = 4, 32
 
 
 @dataclass(frozen=True)
@@ -69,9 +74,15 @@ class Batch:
     edges: np.ndarray
     states: np.ndarray
     readouts: np.ndarray
-    #: series, floors: Of the estimated error; without rows if they were not asked for.
-    series: np.ndarray
-    floors: np.ndarray
+
+
+class Solved(NamedTuple):
+    """One member that passed every check."""
+
+    march: March
+    error: MarchError
+    #: Largest ratio of the estimated to the allowed error.
+    excess: float
 
 
 class MemberSolver:
@@ -93,54 +104,35 @@ class MemberSolver:
         longest: float,
         basis: FeatureBasis,
     ) -> None:
-        self.H, self.span, self.basis = H, span, basis
-        self.origin = origin_of(H.time is None, span)
+        self.H, self.basis, self.origin = H, basis, origin_of(H.time is None, span)
         start, end = (time - self.origin for time in span)
-        self._flow = flow_of(H)
-        self._tables, self._local = error_tables(basis, resolution_for(local)), local
-        self._constants = (
-            self._flow.programs,
-            basis.tables,
-            self._tables,
-            terms_of(self._flow),
-            None if self._flow.is_short_polynomial else bound_tables(basis, local),
-            Span(
-                start=start,
-                end=end,
-                tolerance=relative_tolerance(tol),
-                local=local,
-                longest=longest,
-                shortest=shortest_window(start, end),
-                rounded=float(self._flow.rounded),
-                margin=MARGIN,
-                least_step=LEAST_STEP,
-                most_step=MOST_STEP,
-                smallest=SMALLEST,
-                tighter=TIGHTER,
-                accuracy=ACCURACY,
-                fewest=FEWEST,
-                absolute=np.array(atol, dtype=float),
-            ),
-            node_signs(basis, H.dim),
-            disturbances(self._tables.places, H.dim),
-            kicks(self._tables.perturbations, H.dim),
+        self._flow, self._local = flow_of(H), local
+        self._shared = _shared(self._flow, basis, local)
+        self._span = Span(
+            start=start,
+            end=end,
+            tolerance=relative_tolerance(tol),
+            longest=longest,
+            shortest=shortest_window(start, end),
+            absolute=atol,
         )
         self._room = _ROOM
+        self._places = self._shared.arrays["error_tables"].places
 
     @staticmethod
     def applies(H: Hamiltonian) -> bool:
         """Return whether H has no switches: those in time end windows, others need a search."""
         return not (has_switches(H) or has_time_switches(H))
 
-    def solve(self, states: np.ndarray, parameters: np.ndarray, *, keep_error: bool) -> Batch:
+    def solve(self, states: np.ndarray, parameters: np.ndarray) -> Batch:
         """Solve members from states of shape (members, dim) with parameters (members, k)."""
         first, parts = 0, []
         room = max(_LEAST_ROOM, min(self._room * len(states), _MOST_ROOM // states.shape[1]))
         states, parameters = (np.ascontiguousarray(array) for array in (states, parameters))
         while first < len(states):
             rest = states[first:], parameters[first:]
-            members = self._allocated(len(rest[0]), room, keep_error)
-            done = loops.solve_members(*self._constants, *rest, members)
+            members = self._allocated(len(rest[0]), room)
+            done = loops.solve_members(self._shared, self._span, *rest, members)
             if done == 0:  # one member does not fit
                 if room > MAX_WINDOWS:
                     members["count"][0], members["verdict"][0] = 0, loops.LEFT
@@ -158,12 +150,43 @@ class MemberSolver:
         names = Batch.__dataclass_fields__
         return Batch(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
 
-    def _allocated(self, count: int, room: int, keep_error: bool) -> Members:
+    def solve_one(self, z0: np.ndarray, parameters: np.ndarray) -> Solved | None:
+        """Solve one member, with its error; return None if it does not pass every check."""
+        wall, cpu = time.perf_counter(), time.thread_time()
+        room, key = _LEAST_ROOM, (self.H.dim, self.basis.series.shape[1], self._places)
+        members = _SPARE.pop(key, None) or self._allocated(1, room, keep_error=True)
+        while not loops.solve_members(self._shared, self._span, z0, parameters, members):
+            if room > MAX_WINDOWS:
+                return None
+            room *= 4
+            members = self._allocated(1, room, keep_error=True)
+        count = members["count"]
+        windows = int(count[0])
+        if not windows or len(self._exceeding(members, count, windows, parameters[None])):
+            return None
+        edges, states = (members[name][: windows + 1].copy() for name in ("edge", "state"))
+        readouts, series, floors = (
+            members[name][:windows].copy() for name in ("coefficient", "series", "floor")
+        )
+        sizes, largest = (members[name][0].copy() for name in ("size", "largest"))
+        evaluations, excess = int(members["evaluations"][0]), float(members["excess"][0])
+        if room == _LEAST_ROOM and self.H.dim <= _MOST_COMPONENTS:
+            if len(_SPARE) >= _MOST_SPARE:
+                _SPARE.clear()
+            _SPARE[key] = members
+        seconds = time.perf_counter() - wall, time.thread_time() - cpu
+        march = march_of(
+            *((edges, states, readouts), sizes, evaluations, self.basis.seed, self.origin, seconds)
+        )
+        origin = np.array(self.origin)
+        return Solved(march, MarchError(edges, series, floors, largest, sizes, origin), excess)
+
+    def _allocated(self, count: int, room: int, keep_error: bool = False) -> Members:
         dim, columns = self.H.dim, self.basis.series.shape[1]
-        more = {
-            "series": np.empty((room, self._tables.places, dim)),
-            "floor": np.empty((room, dim)),
-        }
+        more = {}
+        if keep_error:
+            more["series"] = np.empty((room, self._places, dim))
+            more["floor"] = np.empty((room, dim))
         return Members(
             members=count,
             room=room,
@@ -178,7 +201,7 @@ class MemberSolver:
             state=np.empty((room + count + 1, dim)),
             coefficient=np.empty((room, columns, dim)),
             mark=np.zeros(room, dtype=np.int64),
-            **(more if keep_error else {}),
+            **more,
         )
 
     def _checked(
@@ -189,8 +212,9 @@ class MemberSolver:
         total = int(counts.sum())
         verdicts[self._exceeding(members, counts, total, parameters)] = loops.LEFT
         accepted = verdicts != loops.LEFT
+        kept: Any = slice(None)
+        rows: Any = kept
         final = np.where(accepted, counts, 0)
-        kept = rows = None
         if not accepted.all():
             kept, rows = np.repeat(accepted, counts), np.repeat(final > 0, counts + 1)
         return Batch(
@@ -200,23 +224,16 @@ class MemberSolver:
             excess=members["excess"][:done],
             largest=members["largest"][:done],
             sizes=members["size"][:done],
-            edges=_selected(members["edge"][: total + done], rows),
-            states=_selected(members["state"][: total + done], rows),
-            readouts=_selected(members["coefficient"][:total], kept),
-            **{
-                plural: _selected(members[name][:total], kept) if members.has(name) else empty
-                for plural, name, empty in (
-                    ("series", "series", np.empty((0, self._tables.places, self.H.dim))),
-                    ("floors", "floor", np.empty((0, self.H.dim))),
-                )
-            },
+            edges=members["edge"][: total + done][rows].copy(),
+            states=members["state"][: total + done][rows].copy(),
+            readouts=members["coefficient"][:total][kept].copy(),
         )
 
     def _exceeding(
         self, members: Members, counts: np.ndarray, total: int, parameters: np.ndarray
     ) -> np.ndarray:
         """Return the members with windows that the loop did not bound, and a search refuses."""
-        (left,) = np.nonzero(members["mark"][:total] & loops.UNBOUNDED)
+        (left,) = (members["mark"][:total] & loops.UNBOUNDED).nonzero()
         if not len(left):
             return left
         owner = np.repeat(np.arange(len(counts)), counts)[left]
@@ -232,32 +249,33 @@ class MemberSolver:
             found = checks.exceeding(pieces, members["size"][owner], parameters[owner])
         return np.unique(owner[[excess.window for excess in found]])
 
-    def march_of(self, batch: Batch, seconds: float, cpu_seconds: float) -> March:
-        """Return the windows of a batch of one accepted member, and their cost."""
-        return march_of(
-            (batch.edges, batch.states, batch.readouts),
-            batch.sizes[0],
-            int(batch.evaluations[0]),
-            self.basis.seed,
-            self.origin,
-            (seconds, cpu_seconds),
-        )
 
-    def error_of(self, batch: Batch) -> MarchError:
-        """Return the estimated error of a batch of one accepted member that kept it."""
-        return MarchError(
-            batch.edges,
-            batch.series,
-            batch.floors,
-            batch.largest[0],
-            batch.sizes[0],
-            np.array(self.origin),
-        )
-
-
-def _selected(array: np.ndarray, rows: np.ndarray | None) -> np.ndarray:
-    """Copy rows of an array, without a mask all."""
-    return array.copy() if rows is None else array[rows]
+@functools.lru_cache(maxsize=64)
+def _shared(flow: Flow, basis: FeatureBasis, local: float) -> Shared:
+    """Return what the members of one H share."""
+    tables, dim = error_tables(basis, resolution_for(local)), flow.programs.dim
+    signs, kicked = node_signs(basis, dim), kicks(tables.perturbations, dim)
+    return Shared(
+        equations=flow.programs,
+        tables=basis.tables,
+        error_tables=tables,
+        actions=terms_of(flow),
+        bounds=None if flow.is_short_polynomial else bound_tables(basis, local),
+        width=signs.shape[1],
+        period=len(kicked),
+        sign=signs,
+        disturbance=disturbances(tables.places, dim),
+        kick=kicked,
+        local=local,
+        rounded=float(flow.rounded),
+        margin=MARGIN,
+        least_step=LEAST_STEP,
+        most_step=MOST_STEP,
+        smallest=SMALLEST,
+        tighter=TIGHTER,
+        accuracy=ACCURACY,
+        fewest=FEWEST,
+    )
 
 
 def march_of(

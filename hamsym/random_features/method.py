@@ -9,7 +9,6 @@ Stage 3  If both together exceed the tolerance, or the windows of a loose one do
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -39,7 +38,7 @@ from hamsym.random_features.members import (
 )
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
-from hamsym.solution.acceptance import accepted, excess, held
+from hamsym.solution.acceptance import accepted, excess, held, met, with_error
 from hamsym.solution.discontinuities import first_jump
 from hamsym.solution.settings import Settings
 from hamsym.solution.solution import Solution
@@ -98,17 +97,20 @@ def solve_by_features(problem: InitialValueProblem, method: Features) -> Solutio
     accuracy = checked_accuracy(problem.tol, problem.atol, method.max_window, span, H.dim)
     basis = basis_for(problem.seed, accuracy.tol)
     if not problem.breakpoints and MemberSolver.applies(H):
-        wall, cpu = time.perf_counter(), time.thread_time()
+        flow = flow_of(H)
+        if flow.energy is None:
+            problem.require_finite()  # of its values a march sees none
         solver = MemberSolver(
             H, span, accuracy.tol, accuracy.local, accuracy.absolute, accuracy.longest, basis
         )
-        parameters = np.array([[H.parameters[name] for name in H.parameter_names]], dtype=float)
-        batch = solver.solve(problem.z0[None], parameters, keep_error=True)
-        if batch.accepted[0]:
-            seconds = time.perf_counter() - wall, time.thread_time() - cpu
-            march, error = solver.march_of(batch, *seconds), solver.error_of(batch)
+        found = solver.solve_one(problem.z0, flow.parameters)
+        if found is not None:
+            message = met_message(accuracy.tol, len(found.march.readouts), found.excess)
             settings = Settings.of(problem, method)
-            return accepted_march(H, problem.z0, march, basis, error, settings)
+            return _solution_of(
+                *(H, problem.z0, found.march, basis, found.error, settings, Features.name),
+                *(True, message),
+            )
     return solve_by_march(problem, method, basis)
 
 
@@ -129,6 +131,11 @@ def accepted_march(
     return accepted(found, state_of(len(windows.readouts)), cause=cause)
 
 
+def met_message(tol: float, windows: int, excess: float) -> str:
+    """Return the message of a march that meets its tolerance."""
+    return met(tol, with_error(state_of(windows), excess))
+
+
 def state_of(windows: int) -> str:
     """Return the number of windows, for a message."""
     return f"{windows:,} windows"
@@ -142,8 +149,10 @@ def _solution_of(
     error: MarchError,
     settings: Settings,
     name: str,
+    success: bool = False,
+    message: str = "",
 ) -> Solution:
-    """Make the solution of a march, before its verdict."""
+    """Make the solution of a march, by default before its verdict."""
     return Solution(
         H,
         z0,
@@ -153,11 +162,14 @@ def _solution_of(
         record=windows,
         settings=settings,
         error=error,
+        success=success,
+        message=message,
     )
 
 
 def solve_by_march(problem: InitialValueProblem, method: Features, basis: FeatureBasis) -> Solution:
     """Solve by marching windows of a basis to a tolerance; the solution has the method's name."""
+    problem.require_finite()
     H, span = problem.H, problem.span
     accuracy = checked_accuracy(problem.tol, problem.atol, method.max_window, span, H.dim)
     local, stops = accuracy.local, problem.window_ends()

@@ -117,6 +117,7 @@ def solve(
         tol=chosen.usual_tol if tol is None else tol,
         atol=atol,
         breakpoints=breakpoints,
+        finite=not chosen.marches,  # a march finds that at its start
         tol_given=tol is not None,
         prove=prove,
         invariants=known,

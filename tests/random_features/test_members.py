@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+import hamsym
 from hamsym import Hamiltonian
 from hamsym.kernel.loops import Equations, Program
 from hamsym.random_features import members
@@ -79,7 +81,7 @@ def _solved(
     values = [[H.parameters[name] for name in H.parameter_names]] * len(states)
     values = np.array(values if parameters is None else parameters, dtype=float)
     solver = MemberSolver(H, span, tol, *given)
-    return solver.solve(np.asarray(states, dtype=float), values, keep_error=True)
+    return solver.solve(np.asarray(states, dtype=float), values)
 
 
 def _members(batch: Batch) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -185,7 +187,25 @@ def test_no_member_of_a_bad_batch_is_accepted() -> None:
     assert batch.edges.shape == (0,)
     assert batch.states.shape == (0, 4)
     assert batch.readouts.shape == (0, basis_for(0, 1e-9).series.shape[1], 4)
-    assert batch.series.shape[0] == 0
+
+
+def test_solutions_of_one_member_do_not_share_memory() -> None:
+    """In threads, and where the next ones are longer and shorter."""
+    starts, ends = _random(0, 12, 4) / 4, [20, 300, 5] * 4
+
+    def solved(k: int) -> list[bytes]:
+        found = hamsym.solve(HENON_HEILES, starts[k], (0, ends[k]))
+        kept = found.record.states, found.record.readouts, found.error.series, found.error.largest
+        hamsym.solve(HENON_HEILES, starts[k - 1], (0, ends[k - 1]))
+        return [array.tobytes() for array in kept]
+
+    with ThreadPoolExecutor(4) as threads:
+        together = list(threads.map(solved, range(12)))
+    members._SPARE.clear()
+    for k, arrays in enumerate(together):
+        assert arrays == solved(k)
+        batch = _solved(HENON_HEILES, starts[k : k + 1], (0, ends[k]))
+        assert arrays[:2] == [batch.states.tobytes(), batch.readouts.tobytes()]
 
 
 def test_a_step_between_the_nodes_is_refused() -> None:

@@ -363,6 +363,20 @@ def test_unusable_starts_and_parameters_are_rejected() -> None:
         hamsym.solve(Hamiltonian("p**2/2 - 1/x"), [0, 0], (0, 1), method="adam")
 
 
+@pytest.mark.parametrize("rest", ["", " + x*t"])
+@pytest.mark.parametrize(
+    ("H", "z0"),
+    [
+        ("p**2/2 + x**2/2", [1e200, 0]),  # only H itself
+        ("p**2/2 - sqrt(x)", [0, 1]),  # only its gradient
+        ("p**2/2 + exp(x)", [800, 0]),
+    ],
+)
+def test_a_march_starts_where_everything_is_finite(H: str, rest: str, z0: list[float]) -> None:
+    with pytest.raises(InputError, match="not finite at z0"):
+        hamsym.solve(H + rest, z0, (0, 1))
+
+
 SOLVERS = {
     "solve": lambda H: hamsym.solve(H, [1, 0], (0, 1)).z0,
     "integrate": lambda H: hamsym.integrate(H, [1, 0], (0, 1), steps=9).z,
