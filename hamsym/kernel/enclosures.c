@@ -70,58 +70,6 @@ EXPORTED int64_t hamsym_collocate(const series_step *program, int64_t steps, con
   return found;
 }
 
-/* Fixed-point iteration for V at the points, dim x columns x points. It ends when each column has converged in units
-   of the components, because columns are of different dimensions, and their entries, too. */
-int iterate_tangents(const double *rows, const entry *entries, const double *signs, long count, long dim, long columns,
-                     const double *integral, long points, double half, const double *units, long most, double enough,
-                     double *found) {
-  double *rates = malloc((dim * columns + 1) * points * sizeof *rates), before = INFINITY;
-  if (!rates) return 0;
-  double *done = rates + dim * columns * points;
-  for (long i = 0; i < dim; i++)
-    for (long c = 0; c < columns; c++) fill(found + (i * columns + c) * points, i == c, points);
-  while (most--) {
-    memset(rates, 0, dim * columns * points * sizeof *rates);
-    for (long e = 0; e < count; e++) {
-      long i = entries[e].i, j = entries[e].j;
-      const double *a = rows + entries[e].place * points;
-      for (long c = j < dim ? 0 : j; c < (j < dim ? columns : j + 1); c++) {
-        double *out = rates + (i * columns + c) * points;
-        const double *b = found + (j * columns + c) * points;
-        if (j < dim) for (long x = 0; x < points; x++) out[x] += signs[e] * a[x] * b[x];
-        else for (long x = 0; x < points; x++) out[x] += signs[e] * a[x];
-      }
-    }
-    double change = 0.0;
-    for (long c = 0; c < columns; c++) {
-      double shift = 0.0, size = 0.0;
-      for (long i = 0; i < dim; i++) {
-        double moved = 0.0, large = 0.0, first = i == c, *own = found + (i * columns + c) * points;
-        apply_table(integral, rates + (i * columns + c) * points, points, points, done);
-        for (long x = 0; x < points; x++) {
-          double value = first + half * done[x];
-          moved = larger(fabs(value - own[x]), moved);
-          large = larger(fabs(value), large);
-          own[x] = value;
-        }
-        shift = larger(moved / units[i], shift);
-        size = larger(large / units[i], size);
-      }
-      if (shift != 0) change = shift / size < INFINITY ? larger(shift / size, change) : INFINITY;
-    }
-    if (!(change < INFINITY) || change <= enough || (change <= 1e-12 && change >= 0.5 * before)) break;
-    before = change;
-  }
-  free(rates);
-  return 1;
-}
-
-EXPORTED int64_t hamsym_tangents(const double *rows, const entry *entries, const double *signs, int64_t count,
-                                 int64_t dim, int64_t columns, const double *integral, int64_t points, double half,
-                                 const double *units, int64_t most, double *found) {
-  return iterate_tangents(rows, entries, signs, count, dim, columns, integral, points, half, units, most, 4e-16, found);
-}
-
 /* c with c = -D + w int A c at the points, from -D; both are dim x points. The iteration ends when c has converged in
    units of the components. */
 int iterate_correction(const double *rows, const entry *entries, const double *signs, long count, long dim,

@@ -3,7 +3,7 @@
 
    The equation is dz/dx = w G(t, z, k) on -1 <= x <= 1, with the half length w of the window, time t = t_m + w x and
    constants k (parameters that are not known exactly). y(x) is a polynomial near the solution, V(x) one near its
-   derivatives by the start and by k; both are guesses, found by collocation at Chebyshev points without bounds. With
+   derivatives by the start and by k; both are guesses, found by collocation and by Taylor series without bounds. With
    the defects D of y and K of V, V(-1) = I + F, and an interval matrix A_0 + B around w DG over a tube,
 
        z = y + (V - K) xi - D + d,   d' = A d + (B V - A K) xi - A D,   d(-1) = -F xi. */
@@ -35,10 +35,14 @@ void run_values(const series_step *program, long steps, double *rows, long n);
 int64_t hamsym_collocate(const series_step *program, int64_t steps, const int64_t *results, double *rows,
                          int64_t points, const double *integral, const double *start, int64_t dim, double half,
                          int64_t most);
-/* The iterations for V and for corrections of y end when they change by less than `enough`. */
-int iterate_tangents(const double *rows, const entry *entries, const double *signs, long count, long dim, long columns,
-                     const double *integral, long points, double half, const double *units, long most, double enough,
-                     double *found);
+/* Coefficients of V, dim x columns x points, from values of DG at the points. `steps` are tables from values at the
+   points to Taylor series between one point and the next one, points x points x orders, and `series` is that to
+   coefficients. Terms of V are left out that are smaller than `enough` in units of the components, and those of an
+   entry of DG that are smaller than this share of it. */
+int64_t hamsym_tangents(const double *rows, const entry *entries, const double *signs, int64_t count, int64_t dim,
+                        int64_t columns, const double *steps, const double *series, int64_t points, int64_t orders,
+                        double half, const double *units, double enough, double *found);
+/* The iteration for a correction of y ends when it changes by less than `enough`. */
 int iterate_correction(const double *rows, const entry *entries, const double *signs, long count, long dim,
                        const double *integral, long points, double half, const double *wanted, const double *units,
                        long most, double enough, double *found);

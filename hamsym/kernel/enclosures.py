@@ -44,7 +44,7 @@ _SIGNATURES = {
     "run_series": "v nisi",
     "run_values": "v nipi",
     "collocate": "i ninpippidi",
-    "tangents": "i pnpiiipidpip",
+    "tangents": "i pnpiiippiidpdp",
     "correction": "i pnpiipidppip",
     "defects": "v ninsippp",
     "lemma": "i spppp",
@@ -138,7 +138,7 @@ class MarchProof(Record):
     """A march and the state of its proof, which the library changes.
 
     - entries, placed: Rows (i, j, place) with results and with registers; ``signs`` beside them.
-    - integral, fewer_integral: At the points of y and at those of V.
+    - integral: At the points of y; ``fewer_steps`` are those of V; see :meth:`Enclosures.tangents`.
     - fewer: From values at the points of y to those at the points of V.
     - features: Models of the features on a window, and readouts, shape (windows, dim, features).
     - states, edges: Of the windows, shapes (windows + 1, dim) and (windows + 1,).
@@ -146,8 +146,8 @@ class MarchProof(Record):
     """
 
     _fields_ = [
-        *counts("dim entries inner most"),
-        *arrays("rates jacobian energy entry placed signs integral fewer_integral fewer"),
+        *counts("dim entries inner most orders"),
+        *arrays("rates jacobian energy entry placed signs integral fewer_steps fewer"),
         *arrays("features trial"),
         *arrays("readouts states edges"),
         *numbers("origin"),
@@ -162,7 +162,7 @@ class MarchProof(Record):
         placed: np.ndarray,
         signs: np.ndarray,
         integral: np.ndarray,
-        fewer_integral: np.ndarray,
+        fewer_steps: np.ndarray,
         fewer: np.ndarray,
         features: Models,
         readouts: np.ndarray,
@@ -191,7 +191,8 @@ class MarchProof(Record):
             placed=placed,
             signs=signs,
             integral=integral,
-            fewer_integral=fewer_integral,
+            fewer_steps=fewer_steps,
+            orders=fewer_steps.shape[2],
             fewer=fewer,
             features=features,
             trial=trial,
@@ -321,15 +322,23 @@ class Enclosures:
         signs: np.ndarray,
         dim: int,
         columns: int,
-        integral: np.ndarray,
+        steps: np.ndarray,
+        series: np.ndarray,
         half: float,
         units: np.ndarray,
-        most: int,
+        enough: float,
     ) -> np.ndarray:
-        """Iterate V at the points, shape (dim, columns, points)."""
-        found = np.empty((dim, columns, rows.shape[1]))
-        given = rows, entries, signs, len(entries), dim, columns, integral, rows.shape[1]
-        require_memory(self._call("tangents", *given, half, units, most, found))
+        """Guess coefficients of V, shape (dim, columns, points), by Taylor series.
+
+        - steps: From values at the points to series between them, (points, points, orders).
+        - series: From values at the points to coefficients.
+        - enough: Size of terms that are left out.
+        """
+        points, orders = rows.shape[1], steps.shape[2]
+        _require(steps.shape[:2] == series.shape == (points, points))
+        found = np.empty((dim, columns, points))
+        given = rows, entries, signs, len(entries), dim, columns, steps, series, points, orders
+        require_memory(self._call("tangents", *given, half, units, enough, found))
         return found
 
     def correct(

@@ -25,12 +25,13 @@ typedef struct {
 
 /* A march and the state of its proof. */
 typedef struct {
-  int64_t dim, entries, inner, most;
+  int64_t dim, entries, inner, most, orders;
   const prepared *rates, *jacobian, *energy;
   const entry *entry;    /* of DG: with results, */
   const entry *placed;   /* and with registers in place of them */
   const double *signs;
-  const double *integral, *fewer_integral; /* at the points of y and at those of V */
+  const double *integral;    /* at the points of y */
+  const double *fewer_steps; /* between those of V, points x points x orders */
   const double *fewer;                     /* from values at the points of y to those at the points of V */
   /* z^ = z_a + a sum of features with readouts, windows x dim x inner; `trial` has room for it. */
   const series_rows *features, *trial;
@@ -160,13 +161,8 @@ static int guess(const march_proof *m, ball slope, const window *w) {
   double *coarse = w->values;
   for (const entry *e = m->placed; e < m->placed + m->entries; e++)
     apply_table(m->fewer, jacobian->values + e->place * terms, terms, fewer, coarse + e->place * fewer);
-  double *at_points = w->models;
-  if (!iterate_tangents(coarse, m->placed, m->signs, m->entries, dim, dim, m->fewer_integral, fewer, half, w->units,
-                        SWEEPS, ENOUGH, at_points))
-    return 0;
-  for (long k = 0; k < dim * dim; k++)
-    apply_table(jacobian->rows->series, at_points + k * fewer, fewer, fewer, w->V + k * fewer);
-  return 1;
+  return hamsym_tangents(coarse, m->placed, m->signs, m->entries, dim, dim, m->fewer_steps, jacobian->rows->series, fewer,
+                         m->orders, half, w->units, ENOUGH, w->V);
 }
 
 /* Move the set over a window, which adds errors. */

@@ -9,6 +9,10 @@ import mpmath
 import numpy as np
 from numpy.polynomial import chebyshev
 
+# Terms of a Taylor series between two Chebyshev points: polynomials through the values make half a
+# turn there at most, so that the last of them are round-off.
+_ORDERS = 24
+
 
 @dataclass(frozen=True)
 class Collocation:
@@ -74,6 +78,9 @@ class ChebyshevTables:
     series: np.ndarray
     #: integral[j, i]: Weight of the value at x_j in the integral from -1 to x_i.
     integral: np.ndarray
+    #: steps[i, j, m]: Weight of the value at x_j in term m of h f(a + h t), as a Taylor series, on
+    #: the step from the point a before x_i, or -1, to a + h = x_i.
+    steps: np.ndarray
 
 
 @functools.cache
@@ -83,8 +90,29 @@ def chebyshev_tables(terms: int) -> ChebyshevTables:
     longer = turns(terms)[degrees * places % (4 * terms)]
     series = longer[:terms].T * np.where(np.arange(terms), 2, 1) / np.longdouble(terms)
     integrals = chebyshev.chebint(np.eye(terms, dtype=np.longdouble), lbnd=-1).T
-    tables = longer[1], longer[:terms], series, series @ integrals @ longer
+    tables = (
+        longer[1],
+        longer[:terms],
+        series,
+        series @ integrals @ longer,
+        _steps(longer[1], series),
+    )
     return ChebyshevTables(*(np.ascontiguousarray(each.astype(float)) for each in tables))
+
+
+def _steps(points: np.ndarray, series: np.ndarray) -> np.ndarray:
+    """Tables between values at points, in descending order, and Taylor series between them."""
+    starts = np.append(points[1:], np.longdouble(-1))[:, None]
+    lengths, shape = points[:, None] - starts, (len(points), len(points), _ORDERS)
+    found = np.zeros(shape, np.longdouble)  # of T_k for each step
+    found[0, :, 0] = 1
+    found[1, :, :1], found[1, :, 1:2] = starts, lengths
+    for k in range(2, len(points)):
+        found[k] = 2 * starts * found[k - 1] - found[k - 2]
+        found[k, :, 1:] += 2 * lengths * found[k - 1, :, :-1]
+    return lengths[:, :, None] * (series @ found.reshape(len(points), -1)).reshape(shape).swapaxes(
+        0, 1
+    )
 
 
 # -- values ----------------------------------------------------------------------------------------

@@ -44,6 +44,7 @@ SOURCES = (
     "balls.c",
     "series.c",
     "enclosures.c",
+    "tangents.c",
     "sets.c",
     "followed.c",
 )
@@ -366,6 +367,7 @@ PROVEN = {
     "REST_ERROR_FUNCTION": "the term at which a series ends, whose size is the bound",
     "TUBES": "attempts",
     "SWEEPS": "of guesses",
+    "TOGETHER": "of guesses",
     "ENOUGH": "of guesses",
     "AROUND": "with APART, the roundings of a half length before SECOND_ORDER",
     "APART": "with AROUND, and of a difference before SECOND_ORDER",

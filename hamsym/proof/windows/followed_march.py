@@ -95,7 +95,7 @@ def march_proof(equation: Equation, trial: FeatureTrial) -> MarchProof:
         placed=equation.placed,
         signs=equation.signs * direction,
         integral=chebyshev_tables(_TERMS).integral,
-        fewer_integral=chebyshev_tables(_FEWER).integral,
+        fewer_steps=chebyshev_tables(_FEWER).steps,
         fewer=_fewer(),
         features=_features(trial),
         readouts=np.ascontiguousarray(trial.readouts.transpose(0, 2, 1)),

@@ -1,10 +1,10 @@
 """Guesses of windows: a polynomial near the solution, one near its derivatives, units, lengths.
 
 The polynomial y solves the equations by collocation in float64; linear corrections of its defect
-complete it to twice float64. V follows from linear equations along y, and the units balance their
-matrix. All this is heuristic: a bad guess gives wide bounds, or a window that is refused and made
-shorter. What is proven of it, :mod:`hamsym.proof.windows.window_lemma` proves from the numbers
-alone.
+complete it to twice float64. V follows from linear equations along y by Taylor series between the
+points, and the units balance their matrix. All this is heuristic: a bad guess gives wide bounds, or
+a window that is refused and made shorter. What is proven of it,
+:mod:`hamsym.proof.windows.window_lemma` proves from the numbers alone.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from hamsym.kernel.enclosures import enclosures
 from hamsym.numerics.collocation import chebyshev_tables
 from hamsym.numerics.scales import coupled_sizes
-from hamsym.proof.arithmetic.directed import two_sum
+from hamsym.proof.arithmetic.directed import UNIT, two_sum
 from hamsym.proof.arithmetic.programs import ModelRows
 from hamsym.proof.windows.window_lemma import TooLongError, WindowLemma
 from hamsym.proof.windows.window_sets import powers_of_two
@@ -114,9 +114,9 @@ class WindowGuess:
         # to compare them with those of the others.
         least = D / (_LOOSE * max(self._accuracy, _FINEST))
         units = self._units(w, couplings, sizes, radii, least)
-        columns, integral = self._equation.columns, self._tables.integral
-        values = enclosures().tangents(*self._linear, columns, integral, w, units, _ITERATIONS)
-        return Guess(enclosures().product(values, self._tables.series), units, factor)
+        given = self._equation.columns, self._tables.steps, self._tables.series
+        V = enclosures().tangents(*self._linear, *given, w, units, UNIT)
+        return Guess(V, units, factor)
 
     def accepted(
         self, guess: Guess, d: np.ndarray, safe: np.ndarray, width: float, shortest: float

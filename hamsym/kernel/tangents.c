@@ -1,0 +1,110 @@
+/* Derivatives along y by Taylor series, without bounds; see enclosures.h. */
+
+#include "enclosures.h"
+#include <stdlib.h>
+
+#define TOGETHER 8 /* columns that are computed together */
+
+/* What the steps have in common. */
+typedef struct {
+  const entry *entries;
+  long count, dim, columns, orders; /* orders: room for those of a series */
+  double *series;                   /* of the entries of w A over a step, count x orders */
+  int64_t *lengths;                 /* their terms that are not round-off */
+  double *V, *rates;                /* dim x orders x TOGETHER, and dim x TOGETHER */
+} motion_of_tangents;
+
+/* Expand w A over a step. Returns how many terms V needs there: those of exp(|w A|), and one more than w A. */
+static long expand(const motion_of_tangents *m, const double *rows, const double *signs, const double *table,
+                   long points, double half, const double *units, double enough) {
+  long orders = m->orders, most = 1;
+  double *reach = m->rates, largest = 0.0, term = 1.0;
+  memset(reach, 0, m->dim * sizeof *reach);
+  for (long e = 0; e < m->count; e++) {
+    long i = m->entries[e].i, j = m->entries[e].j, n = orders;
+    double *own = m->series + e * orders, size = 0.0;
+    apply_table(table, rows + m->entries[e].place * points, points, orders, own);
+    for (long k = 0; k < orders; k++) {
+      own[k] *= signs[e] * half;
+      size += fabs(own[k]);
+    }
+    while (n > 1 && fabs(own[n - 1]) <= enough * size) n--;
+    m->lengths[e] = n;
+    most = n + 1 > most ? n + 1 : most;
+    if (j < m->dim) reach[i] += size * units[j] / units[i];
+  }
+  for (long i = 0; i < m->dim; i++) largest = larger(reach[i], largest);
+  long n = 1;
+  for (; n < orders && !(term <= enough); n++) term *= largest / n;
+  most = n > most ? n : most;
+  return most < orders ? most : orders;
+}
+
+/* Move some columns of V over a step, from their first terms, which become those of the next step. */
+static void move(const motion_of_tangents *m, long first, long orders) {
+  long stride = m->orders * TOGETHER;
+  for (long n = 0; n + 1 < orders; n++) {
+    memset(m->rates, 0, m->dim * TOGETHER * sizeof *m->rates);
+    for (long e = 0; e < m->count; e++) {
+      long j = m->entries[e].j, length = m->lengths[e];
+      const double *a = m->series + e * m->orders;
+      double *out = m->rates + m->entries[e].i * TOGETHER;
+      if (j >= m->dim) { /* a rate by a constant, which moves its own column alone */
+        if (j >= first && j < first + TOGETHER && n < length) out[j - first] += a[n];
+        continue;
+      }
+      const double *b = m->V + j * stride + n * TOGETHER;
+      v4 one = load(out), other = load(out + 4);
+      for (long k = 0; k < length && k <= n; k++, b -= TOGETHER) {
+        one += spread(a[k]) * load(b);
+        other += spread(a[k]) * load(b + 4);
+      }
+      store(out, one), store(out + 4, other);
+    }
+    for (long i = 0; i < m->dim; i++)
+      for (long c = 0; c < TOGETHER; c += 4)
+        store(m->V + i * stride + (n + 1) * TOGETHER + c, load(m->rates + i * TOGETHER + c) / (double)(n + 1));
+  }
+  for (long i = 0; i < m->dim; i++)
+    for (long c = 0; c < TOGETHER; c += 4) {
+      double *own = m->V + i * stride + c;
+      v4 total = load(own + (orders - 1) * TOGETHER);
+      for (long n = orders - 2; n >= 0; n--) total += load(own + n * TOGETHER);
+      store(own, total);
+    }
+}
+
+EXPORTED int64_t hamsym_tangents(const double *rows, const entry *entries, const double *signs, int64_t count,
+                                 int64_t dim, int64_t columns, const double *steps, const double *series,
+                                 int64_t points, int64_t orders, double half, const double *units, double enough,
+                                 double *found) {
+  long width = dim * TOGETHER, each = count * orders;
+  double *memory = malloc((points * each + width * (orders + 1 + points)) * sizeof *memory);
+  int64_t *lengths = malloc((points * count + points) * sizeof *lengths), *needed = lengths + points * count;
+  if (!memory || !lengths) {
+    free(memory), free(lengths);
+    return 0;
+  }
+  double *V = memory + points * each, *rates = V + width * orders, *values = rates + width;
+  motion_of_tangents m = {entries, count, dim, columns, orders, memory, lengths, V, rates};
+  for (long x = 0; x < points; x++) {
+    m.series = memory + x * each, m.lengths = lengths + x * count;
+    needed[x] = expand(&m, rows, signs, steps + x * points * orders, points, half, units, enough);
+  }
+  for (long first = 0; first < columns; first += TOGETHER) {
+    for (long i = 0; i < dim; i++)
+      for (long c = 0; c < TOGETHER; c++) V[i * orders * TOGETHER + c] = i == first + c;
+    for (long x = points - 1; x >= 0; x--) { /* points are in descending order */
+      m.series = memory + x * each, m.lengths = lengths + x * count;
+      move(&m, first, needed[x]);
+      for (long i = 0; i < dim; i++)
+        for (long c = 0; c < TOGETHER; c++) values[(i * TOGETHER + c) * points + x] = V[i * orders * TOGETHER + c];
+    }
+    for (long i = 0; i < dim; i++)
+      for (long c = first; c < columns && c < first + TOGETHER; c++)
+        apply_table(series, values + (i * TOGETHER + c - first) * points, points, points,
+                    found + (i * columns + c) * points);
+  }
+  free(memory), free(lengths);
+  return 1;
+}
