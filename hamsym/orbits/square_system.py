@@ -79,7 +79,7 @@ class SquareSystem:
         self.states = self.numerical.copy()
         self.scale, self._dim = arc.scale, problem.H.dim
         # the first state is basis @ y
-        self._basis, self._origin = np.eye(self._dim), self.states[0]
+        self._basis, self._origin = np.eye(self._dim), self.numerical[0]
         if closing.first is not None:
             self._basis = closing.first.fixed_basis
             self._origin = self._basis.T @ self.states[0] / np.abs(self._basis).sum(axis=0)

@@ -248,7 +248,8 @@ def verify(
         What proves the claims: the program that proved them, or :mod:`hamsym.proof.checker`, a
         small one on python-flint that shares no line with it. It parses H itself, encloses the
         exact solution by another lemma in ball arithmetic, and proves the very numbers of the
-        certificate, in five to forty times the time; ten times the default limit is allowed.
+        certificate, in two to fifty times the time of certify; ten times the default limit is
+        allowed.
         It covers certificates of solutions, and of periodic orbits of an H without explicit time
         and without further integrals, except ``unique_within``; and beside certificates an
         equilibrium that :func:`hamsym.equilibria` found (its ball, its type and its stability, not

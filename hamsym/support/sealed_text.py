@@ -56,7 +56,7 @@ class SealedText(Drawn, Saved):
                 raise ValueError(f"its kind is not '{cls._KIND}'")
             version = values.pop("version", None)
             if type(version) is not int or version != cls._VERSION:
-                raise ValueError(f"its version is not {cls._VERSION}")
+                raise ValueError(f"its version is not {cls._VERSION}; make it again by certify")
             derived = hasattr(cls, "statement")  # a property, not a field
             claimed = values.pop("statement", None) if derived else values.get("statement")
             found = from_json(cls, values)

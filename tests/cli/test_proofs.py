@@ -164,3 +164,22 @@ def test_certificate_of_another_solution_is_refused(capsys: Captured, saved: str
     status, _, err = run(capsys, "verify", saved)
     assert status == 1
     assert "does not belong" in err
+
+
+def test_independent_check_of_an_orbit_does_not_claim_uniqueness(
+    capsys: Captured, tmp_path: Path
+) -> None:
+    path = str(tmp_path / "orbit.hamsym")
+    orbit = hamsym.periodic_orbit("p**2/2 + x**2/2 + x**4/4", [1.0, 0.0])
+    orbit.save(path)
+    orbit.certify().save(f"{path}.certificate")
+    status, out, _ = run(capsys, "verify", path)
+    assert (status, " ".join(out.split()[-5:])) == (0, "of the certificate is proven")
+    status, out, _ = run(capsys, "verify", path, "--checker", "independent")
+    assert status == 0
+    assert " ".join(out.split()).endswith(
+        "proven by the independent checker, except uniqueness (unique_within), which it does not "
+        "check"
+    )
+    status, out, _ = run(capsys, "verify", path, "--checker", "independent", "--json")
+    assert json.loads(out)["not_checked"] == ["unique_within"]

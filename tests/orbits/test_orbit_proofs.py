@@ -1,6 +1,7 @@
 """Proofs of periodic orbits against exact orbits; what is false or undecidable is refused."""
 
 import dataclasses
+import json
 import math
 
 import mpmath
@@ -9,10 +10,12 @@ import pytest
 import sympy
 
 import hamsym
-from hamsym.errors import CertificationError
+from hamsym.errors import CertificationError, FileError
 from hamsym.numerics.collocation import collocation
 from hamsym.orbits.proven_stability import WEAKER, proven_stability
 from hamsym.orbits.symmetry import SignedPermutation, closing_of
+from hamsym.proof.limits import Deadline
+from hamsym.support.sealed_text import sealed
 from hamsym.symbolic.exact import fraction
 from tests.orbits.test_periodic_orbit import (
     ACROSS,
@@ -27,6 +30,7 @@ from tests.orbits.test_periodic_orbit import (
 flint = pytest.importorskip("flint")
 
 from hamsym.orbits.period import in_units_of_the_arc  # noqa: E402
+from hamsym.orbits.square_system import SquareSystem  # noqa: E402
 
 
 def contains(ball, value):
@@ -300,6 +304,26 @@ def test_bound_counts_components_that_the_symmetry_makes_zero():
     values[0, :, 1] += 1e-7 * (1 - collocation(values.shape[1]).nodes)
     moved = dataclasses.replace(orbit, arc=dataclasses.replace(arc, ends=ends, values=values))
     assert moved.certify().bound > 0.99e-7 / arc.scale[1]
+
+
+def test_plane_stays_at_the_numerical_start_when_this_is_corrected():
+    H = hamsym.Hamiltonian("p**2/2 + x**2/2", forces={"p": "(1 - x**2)*p"})
+    orbit = hamsym.periodic_orbit(H, ([2.0, 0.1], 6.66))
+    system = SquareSystem(orbit.problem, orbit.arc, Deadline.after(None), 1.0)
+    nothing = np.zeros(len(system.units))
+    assert system.values(system.enclosed(nothing, False))[-1] == 0
+    system.correct(1e-6 * system.units)
+    # of the corrected start from the plane, relative to the components
+    assert 1e-7 < abs(system.values(system.enclosed(nothing, False))[-1]) < 1e-5
+
+
+def test_certificate_of_an_older_version_has_to_be_made_again():
+    orbit = hamsym.periodic_orbit("p**2/2 + x**2/2 + x**4/4", [1.0, 0.0])
+    values = json.loads(orbit.certify().to_json())
+    del values["sha256"]
+    hamsym.verify(sealed(values), orbit)
+    with pytest.raises(FileError, match="of an orbit .* version is not 5; make it again by certi"):
+        hamsym.verify(sealed(values | {"version": 4}), orbit)
 
 
 def test_harmonic_motion_with_a_symmetry_across_it_is_not_claimed_parabolic():

@@ -269,10 +269,10 @@ def _start(value: Any) -> arb:
 
 def _power(base: Any, exponent: Fraction) -> Any:
     if exponent.denominator == 1:
-        base = base if exponent > 0 else 1 / base
+        base = base if exponent.numerator > 0 else 1 / base
     elif exponent.denominator == 2:
         base = _within(base, _start(base) > 0)
-        base = base.sqrt() if exponent > 0 else base.rsqrt()
+        base = base.sqrt() if exponent.numerator > 0 else base.rsqrt()
     else:
         return (ball(exponent) * _EVALUATED["log"](base)).exp()
     found = base

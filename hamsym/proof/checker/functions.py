@@ -153,8 +153,10 @@ def _squares(R: int) -> Iterator[acb]:
                 yield acb(*(arb(R) / _DIVISIONS * (k + arb(0.5, 0.5)) for k in (i, j)))
 
 
-def time_at(middle: Fraction, r: Fraction, x: Any) -> Any:
-    return ball(middle) + ball(r) * x
+def clock(middle: Fraction, r: Fraction) -> Callable[[Any], Any]:
+    """The time as a function of x."""
+    start, slope = ball(middle), ball(r)
+    return lambda x: start + slope * x
 
 
 # -- matrices -------------------------------------------------------------------------------------

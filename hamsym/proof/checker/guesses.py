@@ -16,13 +16,13 @@ from hamsym.proof.checker.formulas import NotProvenError, ball
 from hamsym.proof.checker.functions import (
     Polynomial,
     Rates,
+    clock,
     coefficients,
     column,
     end_of,
     identity,
     matrices,
     series_of,
-    time_at,
     total,
 )
 
@@ -70,8 +70,10 @@ def guess(
     """
     change, y = 1.0, [Polynomial([c.mid() for c in part.coeffs()]) for part in near]
 
+    time = clock(middle, r)
+
     def at(x: Any) -> list[Any]:
-        return [*(part(x) for part in y), time_at(middle, r, x)]
+        return [*(part(x) for part in y), time(x)]
 
     for _ in range(_NEWTON):
         if change > _ROUGH:

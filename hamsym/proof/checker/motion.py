@@ -40,6 +40,7 @@ from hamsym.proof.checker.functions import (
     Expansion,
     Polynomial,
     Rates,
+    clock,
     coefficients,
     column,
     end_of,
@@ -47,7 +48,6 @@ from hamsym.proof.checker.functions import (
     identity,
     matrices,
     sizes,
-    time_at,
     total,
 )
 
@@ -143,7 +143,7 @@ def steps(
     tube = _beside(arb_mat(equations.dim, 1), one) if radii else zeros
     state = End([arb(value) for value in z0], zeros, one, one, one, tube)
     step, r = Step(time, length, [Polynomial([value]) for value in state.z], [], state), length / 64
-    scales = [abs(value) for value in state.z]
+    scales, longest = [abs(value) for value in state.z], 1.5
     while time != end:
         check_time()
         rest = (end - time) / 2
@@ -160,10 +160,10 @@ def steps(
         except NotProvenError as error:
             if not abs(r) > abs(length) * _SHORTEST:
                 raise NotProvenError(f"no proof beyond t = {float(time)}: {error}") from None
-            r = r * 3 / 4
+            r, longest = r * 3 / 4, 1.0  # of the next steps, where this one is too long
         else:
             yield step
-            time, r = time + 2 * r, Fraction(float(r) * factor)
+            time, r, longest = time + 2 * r, Fraction(float(r) * min(factor, longest)), 1.5
 
 
 def _defect(y: Polynomial, r: Fraction, f: Expansion) -> arb:
@@ -184,6 +184,7 @@ def _proven(
 ) -> tuple[Step, End]:
     """Prove a step by the lemma of the module's docstring."""
     y, V, W, one = guess.y, guess.V, guess.W, identity(equations.dim)
+    time = clock(middle, r)
 
     share, others = column([arb(1), *radii]), arb_mat(equations.dim, len(radii))
     units = _beside(arb_mat(equations.dim, 1), one) if radii else arb_mat(equations.dim, 1)
@@ -192,11 +193,11 @@ def _proven(
         return (tube * share).entries()
 
     def rates(x: Any) -> list[Any]:
-        return equations.run_rates([*(part(x) for part in y), time_at(middle, r, x)])
+        return equations.run_rates([*(part(x) for part in y), time(x)])
 
     def around(x: Any) -> list[Any]:
         near = [part(x) + T * UNIT for part, T in zip(y, whole(tube), strict=True)]
-        return equations.run_all([*near, time_at(middle, r, x)])
+        return equations.run_all([*near, time(x)])
 
     D = column([_defect(part, r, f) for part, f in zip(y, expanded(rates, order), strict=True)])
     D = _beside(D, others)

@@ -36,7 +36,7 @@ from hamsym.proof.checker.motion import Step, steps
 # Bits, Taylor coefficients, the size of the last ones, and those of derivatives, of attempts.
 _ATTEMPTS = ((256, 58, 2.0**-188, 34), (420, 96, 2.0**-312, 60))
 # Of the box, and of the part of it in which the orbit is, relative to the sizes of components.
-_RADIUS, _NARROW = arb(2) ** -90, arb(2) ** -112
+_RADIUS, _NARROW = arb(2) ** -90, arb(2) ** -96
 _NEWTON = 5  # boxes that are tried
 _KINDS = {
     "elliptic": {"circle"}, "hyperbolic": {"real"}, "mixed": {"circle", "real"},
@@ -250,11 +250,10 @@ class _Orbit:
                     "it is at a bifurcation"
                 ) from None
             step, spread = C * values, identity(len(box)) - C * slopes
-            image = (
-                column(centre)
-                - step
-                + spread * column([b - c for b, c in zip(box, centre, strict=True)])
-            )
+            spread *= column([b - c for b, c in zip(box, centre, strict=True)])
+            if not all(abs(s) < radius for s, radius in zip(spread.entries(), radii, strict=True)):
+                raise failure  # whatever the centre is
+            image = column(centre) - step + spread
             near = [abs(a - c) for a, c in zip(image.entries(), centre, strict=True)]
             if all(b.contains_interior(a) for a, b in zip(image.entries(), box, strict=True)):
                 proven = image.entries(), centre, found, DZ

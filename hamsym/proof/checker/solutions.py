@@ -17,7 +17,7 @@ from typing import Any
 from flint import arb, arb_poly, ctx
 
 from hamsym.proof.checker.formulas import FalseClaimError, NotProvenError, ball
-from hamsym.proof.checker.functions import UNIT, Equations, Polynomial, expanded, time_at
+from hamsym.proof.checker.functions import UNIT, Equations, Polynomial, clock, expanded
 from hamsym.proof.checker.motion import Step, steps
 from hamsym.proof.checker.trials import Window, windows
 
@@ -140,10 +140,10 @@ class _Check:
         """|g|^2 for each of the errors, the energy error and the residual that has a claim."""
         equations, dim, inverse = self._equations, self._equations.dim, ball(1 / r)
         y = [Polynomial(part.real(step.line(middle, r)).coeffs()) for part in step.y]
-        trial = window.on(middle, r)
+        trial, clock_of_part = window.on(middle, r), clock(middle, r)
 
         def at(x: Any) -> list[Any]:
-            states, time = trial(x), time_at(middle, r, x)
+            states, time = trial(x), clock_of_part(x)
             found = list(states)
             if dim + 1 in self._used:
                 true = self._energy
