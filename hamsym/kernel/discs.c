@@ -181,7 +181,7 @@ void run_discs(const program *p, const double *parameters, disc *row, double *bo
     perform(s->operation, row + s->first, row + s->second, row + s->out);
   for (long k = 0; k < p->results; k++, own++) {
     v4 most = spread(0.0);
-    for (long d = 0; d < DISCS; d += 4) most = larger4(size4(load(own->middle + d)) + load(own->radius + d), most);
+    for (long d = 0; d < DISCS; d += 4) most = larger4(size4(size4(load(own->middle + d)) + load(own->radius + d)), most);
     bounds[k] = largest4(most);
   }
 }

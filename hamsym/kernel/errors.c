@@ -82,7 +82,7 @@ static void weigh(carrying *m, long dim, long n, double factor) {
     double size = TINY;
     for (long row = i * m->each; row < (i + 1) * m->each; row++) {
       const double *values = m->vectors + row * n;
-      size = larger(fabs(values[0]), larger(fabs(values[(n - 1) / 2]), larger(fabs(values[n - 1]), size)));
+      size = larger(larger(fabs(values[0]), larger(fabs(values[(n - 1) / 2]), fabs(values[n - 1]))), size);
     }
     double weight = 1.0 / (factor * size);
     for (long row = i * m->each; row < (i + 1) * m->each; row++) m->weight[row] = weight;
@@ -340,7 +340,7 @@ static int inside(carrying *m, const equations *H, const error_tables *t, const 
     for (long c = 0; c < n; c += 4) {
       v4 total = spread(0.0);
       for (long j = 1; j <= t->perturbations; j++) total += load(vectors + j * n + c) * load(vectors + j * n + c);
-      most = larger4(total, most);
+      most = larger4(size4(total), most);
     }
     double largest = largest4(most), last = row_size(vectors + (m->each - 1) * n, n);
     /* Some standard deviations, at worst in the window, and the rounding of z^ itself. */

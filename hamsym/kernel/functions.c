@@ -17,8 +17,8 @@
 #pragma GCC diagnostic ignored "-Wpsabi"
 
 /* How many numbers go through a function together changes its speed, no bit of a result. clang orders the instructions
- * of two registers so that neither waits for the other; gcc would pass them through memory. */
-#if defined(__clang__)
+ * of two registers so that neither waits for the other; gcc would pass them through memory, unless one has them all. */
+#if defined(__clang__) || defined(__AVX512F__)
 #define AT_ONCE 8
 #else
 #define AT_ONCE 4

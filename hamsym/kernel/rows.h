@@ -11,6 +11,9 @@
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
+#if defined(__AVX512VL__)
+#include <immintrin.h>
+#endif
 
 #define EPS 0x1p-52
 #define TINY 0x1p-1022
@@ -26,8 +29,17 @@ INLINE void store(double *p, v4 x) { *(v4 *)p = x; }
 INLINE v4 choose(i4 condition, v4 x, v4 y) { return (v4)((condition & (i4)x) | (~condition & (i4)y)); }
 INLINE v4 size4(v4 x) { return (v4)((i4)x & (i4){INT64_MAX, INT64_MAX, INT64_MAX, INT64_MAX}); }
 
-/* The larger of two numbers that are not negative; NaN if one is. Without branches, which no processor could predict. */
-INLINE v4 larger4(v4 x, v4 y) { return choose((i4)(x > y) | (i4)(x != x), x, y); }
+/* The larger of two magnitudes; NaN if one is. Their bits are ordered as they are, with NaN as the largest. */
+INLINE v4 larger4(v4 x, v4 y) {
+#if defined(__AVX512VL__)
+  return (v4)_mm256_max_epi64((__m256i)x, (__m256i)y);
+#elif defined(__AVX2__)
+  return choose((i4)x > (i4)y, x, y);
+#else
+  return choose((i4)(x > y) | (i4)(x != x), x, y); /* of old processors the faster way */
+#endif
+}
+/* The same of two numbers that are not negative, without branches, which no processor could predict. */
 INLINE double larger(double x, double y) {
   double most = x > y ? x : y;
   return x != x ? x : most;
@@ -65,7 +77,7 @@ typedef struct {
 /* Write a tile of a product; or base + h times it, and how far that is from the states before. */
 INLINE void tile(const double *table, long n, long k, const double *rows, long row, long column, int height,
                  int width, double *out, const motion *moved) {
-  v4 sums[8];
+  v4 sums[12];
   add_up(table + column, n, k, rows + row * n, height, width, sums);
   for (int i = 0; i < height; i++) {
     long place = (row + i) * k + column;
@@ -88,8 +100,9 @@ INLINE void cover(const double *table, long n, long k, const double *rows, long 
   for (; k == 8 && row + 4 <= count; row += 4) tile(table, n, k, rows, row, 0, 4, 2, out, moved);
   for (; row + 2 <= count; row += 2) {
     long column = 0;
-    for (; column + 16 <= k; column += 16) tile(table, n, k, rows, row, column, 2, 4, out, moved);
-    if (column < k) tile(table, n, k, rows, row, column, 2, 2, out, moved);
+    for (; column + 16 <= k && k - column != 24; column += 16) tile(table, n, k, rows, row, column, 2, 4, out, moved);
+    if (k - column == 24) tile(table, n, k, rows, row, column, 2, 6, out, moved);
+    else if (column < k) tile(table, n, k, rows, row, column, 2, 2, out, moved);
   }
   if (row < count) {
     long column = 0;
@@ -116,7 +129,7 @@ static inline void advance(const double *table, long n, const double *rows, long
 /* Largest product of a row's change and weight; NaN if there is one. */
 static inline double weighted_change(const v4 *changes, const double *weights, long count) {
   v4 found = spread(0.0);
-  for (long i = 0; i < count; i++) found = larger4(changes[i] * spread(weights[i]), found);
+  for (long i = 0; i < count; i++) found = larger4(size4(changes[i] * spread(weights[i])), found);
   return largest4(found);
 }
 
