@@ -85,10 +85,20 @@ def address(array: np.ndarray) -> int:
         return int(array.ctypes.data)
 
 
+def aligned(array: np.ndarray) -> np.ndarray:
+    """Copy numbers to where a line of the cache begins, so that no row of LANES crosses one."""
+    memory = np.empty(array.size + LANES)
+    start = -(memory.ctypes.data // memory.itemsize) % LANES
+    found = memory[start : start + array.size].reshape(array.shape)
+    found[...] = array
+    return found
+
+
 class Record(ctypes.Structure):
     """A structure of the library, which keeps the arrays that it points to."""
 
     _lanes = ""  # counts that must be multiples of LANES
+    _constant = False  # whether its numbers are tables, of which it has copies that are aligned
 
     def __init__(self, **values: Any) -> None:
         self._values = values
@@ -100,7 +110,11 @@ class Record(ctypes.Structure):
                 given[name] = ctypes.addressof(value)
             elif isinstance(value, np.ndarray):
                 if value.dtype.kind == "f":
-                    value = np.ascontiguousarray(value, dtype=float)
+                    value = (
+                        aligned(value)
+                        if self._constant
+                        else np.ascontiguousarray(value, dtype=float)
+                    )
                 self.arrays[name] = value
                 given[name] = address(value)
         super().__init__(**given)
@@ -261,7 +275,7 @@ class Tables(Record):
         *arrays("node integration twice fit place to_between rates_between end end_low"),
         *arrays("extrapolation"),
     ]
-    _lanes = "nodes columns between terms"
+    _lanes, _constant = "nodes columns between terms", True
 
 
 class Settings(Record):
@@ -297,7 +311,7 @@ class Rule(Record):
         *counts("nodes"),
         *arrays("node at_nodes drift integration twice lift end last"),
     ]
-    _lanes = "nodes"
+    _lanes, _constant = "nodes", True
 
 
 class ErrorTables(Record):
@@ -309,7 +323,7 @@ class ErrorTables(Record):
         *arrays("place value value_low rate rate_low drift drift_end to_series dense"),
         *arrays("coarse fine"),
     ]
-    _lanes = "places"
+    _lanes, _constant = "places", True
 
 
 #: Term of A V: row += factor * second derivative * source row.
@@ -398,6 +412,7 @@ class BoundTables(Record):
     """Tables of the bounds of windows, with the columns of their basis at places."""
 
     _fields_ = [*counts("columns"), *arrays("models around places values rates series")]
+    _constant = True
 
 
 class Pieces(Record):

@@ -116,9 +116,8 @@ EXPORTED int64_t hamsym_members(const shared *all, const span *span, const doubl
   bounding bounds;
   machine energy;
   double *found, *tail, *floors, *scale, *joint, *jumps, *rates;
-  arena arena = {0, 0};
+  arena arena = {0};
   for (int turn = 0; turn < 2; turn++) { /* count, then lay out */
-    arena.used = 0;
     lay_out_march(&m, &arena, H, t);
     lay_out_errors(&c, &arena, H, e, a);
     if (b) lay_out_bounds(&bounds, &arena, H, b);
@@ -130,7 +129,7 @@ EXPORTED int64_t hamsym_members(const shared *all, const span *span, const doubl
     joint = take(&arena, vectors);
     rates = take(&arena, 8 * dim);
     jumps = take(&arena, r->room * dim);
-    if (!arena.memory && !(arena.memory = calloc(arena.used, sizeof(double)))) return -1;
+    if (!arena.memory && !allocate(&arena)) return -1;
   }
   double clock[3], history[2], stop = span->end, whole = fabs(span->end - span->start);
   int64_t counts[4];
@@ -222,7 +221,7 @@ EXPORTED int64_t hamsym_members(const shared *all, const span *span, const doubl
     done += count;
   }
   if (b) free(bounds.row);
-  free(arena.memory);
+  free(arena.whole);
   return member;
 }
 
@@ -231,8 +230,7 @@ EXPORTED int64_t hamsym_members(const shared *all, const span *span, const doubl
 /* Lay out a march in new memory; return whether there is some. */
 static int set_up(marching *m, arena *arena, const equations *H, const tables *t) {
   lay_out_march(m, arena, H, t);
-  if (!(arena->memory = calloc(arena->used, sizeof(double)))) return 0;
-  arena->used = 0;
+  if (!allocate(arena)) return 0;
   lay_out_march(m, arena, H, t);
   return 1;
 }
@@ -241,10 +239,10 @@ static int set_up(marching *m, arena *arena, const equations *H, const tables *t
 EXPORTED int64_t hamsym_march(const equations *H, const tables *t, const settings *s, progress *p, windows *w,
                               int64_t given) {
   marching m;
-  arena arena = {0, 0};
+  arena arena = {0};
   if (!set_up(&m, &arena, H, t)) return NO_MEMORY;
   int outcome = march(&m, H, t, s, p, w, given);
-  free(arena.memory);
+  free(arena.whole);
   return outcome;
 }
 
@@ -252,19 +250,18 @@ EXPORTED int64_t hamsym_march(const equations *H, const tables *t, const setting
 EXPORTED int64_t hamsym_errors(const equations *H, const error_tables *e, const actions *a, const error_settings *s,
                                const windows *w, const tables *t, error_results *r, int64_t *first, int64_t end) {
   carrying c;
-  arena arena = {0, 0};
+  arena arena = {0};
   double *jumps;
   for (int turn = 0; turn < 2; turn++) {
-    arena.used = 0;
     lay_out_errors(&c, &arena, H, e, a);
     jumps = take(&arena, end * H->dim);
-    if (!arena.memory && !(arena.memory = calloc(arena.used, sizeof(double)))) return NO_ROOM;
+    if (!arena.memory && !allocate(&arena)) return NO_ROOM;
   }
   joint_errors(w, t, H->dim, end, jumps);
   long next = *first;
   int outcome = carry_errors(&c, H, e, a, s, w, jumps, r, &next, end);
   *first = next;
-  free(arena.memory);
+  free(arena.whole);
   return outcome;
 }
 
@@ -272,12 +269,12 @@ EXPORTED int64_t hamsym_errors(const equations *H, const error_tables *e, const 
 EXPORTED double hamsym_first_length(const equations *H, const tables *t, const double *parameters, const double *z,
                                     const double *rates, double start, double end) {
   marching m;
-  arena arena = {0, 0};
+  arena arena = {0};
   if (!set_up(&m, &arena, H, t)) return 0.0;
   set_parameters(&m.velocity, parameters, m.stride);
   set_parameters(&m.force, parameters, m.stride);
   double found = first_length(&m, H, z, rates, start, end);
-  free(arena.memory);
+  free(arena.whole);
   return found;
 }
 

@@ -757,17 +757,16 @@ typedef struct {
 /* Which windows are bounded. */
 EXPORTED int64_t hamsym_bounded(const equations *H, const bound_tables *t, const pieces *w, int8_t *bounded) {
   bounding m;
-  arena arena = {0, 0};
+  arena arena = {0};
   lay_out_bounds(&m, &arena, H, t);
-  if (!(arena.memory = calloc(arena.used, sizeof(double)))) return 0;
-  arena.used = 0;
+  if (!allocate(&arena)) return 0;
   lay_out_bounds(&m, &arena, H, t);
   for (long k = 0; k < w->windows; k++)
     bounded[k] = is_bounded(&m, H, t, w->tolerance, w->start[k], w->end[k], w->state + k * H->dim,
                             w->coefficient + k * w->readout * H->dim, w->readout, w->size + k * w->size_stride,
                             w->parameters + k * w->parameter_stride);
   free(m.row);
-  free(arena.memory);
+  free(arena.whole);
   return 1;
 }
 

@@ -31,15 +31,17 @@ EXPORTED int64_t hamsym_check_program(const program *p) {
   return good;
 }
 
+/* Doubles before the rows of a machine, for pointers to all rows, which take as much memory at most. */
+static long before_rows(const program *p) { return (all_rows(p) + LINE) / LINE * LINE; }
+
 long machine_size(const program *p, long stride) {
-  /* Pointers take as much memory as doubles at most. */
-  return all_rows(p) + 1 + (p->parameters + p->numbers + p->intermediates) * stride;
+  return before_rows(p) + (p->parameters + p->numbers + p->intermediates) * stride;
 }
 
 void make_machine(machine *m, const program *p, double *memory, long stride) {
   m->program = p;
   m->row = (double **)memory;
-  double *next = memory + all_rows(p) + 1;
+  double *next = memory + before_rows(p);
   long row = p->dim + 1;
   for (long k = 0; k < p->parameters + p->numbers; k++, next += stride) m->row[row++] = next;
   row += p->results;

@@ -17,6 +17,7 @@
 
 #define EPS 0x1p-52
 #define TINY 0x1p-1022
+#define LINE 8 /* numbers in a line of the cache */
 #define INLINE static inline __attribute__((always_inline))
 #define EXPORTED __attribute__((visibility("default")))
 
