@@ -5,10 +5,10 @@
    other times are. */
 
 #include "functions.h"
-#include "rows.h"
+#include "march.h"
 #include <stdlib.h>
 
-#define BLOCK 8
+#define BLOCK 16
 #define CUT (EPS / 64) /* terms of a series that are left out, as a share of all, with the weights of a derivative */
 
 /* Paths in consecutive rows: the edges and states of one begin at its first edge, its readouts at its first window. */
@@ -33,9 +33,9 @@ static long window_at(const double *edge, long windows, double t, long near) {
   return low;
 }
 
-/* Chebyshev series of N, and of its derivative in s, in a window: 2 dim rows of the terms in use, which are returned.
-   `rows` has room for dim x columns numbers. */
-static long window_series(const paths *p, const double *readout, double *rows, double *series) {
+/* Chebyshev series of N, and after them, if they are asked for, of its derivative in s, in a window: rows of the terms
+   in use, which are returned. `rows` has room for dim x columns numbers. */
+static long window_series(const paths *p, const double *readout, int slopes, double *rows, double *series) {
   long terms = p->terms, dim = p->dim, used = 1;
   for (long m = 0; m < p->columns; m++)
     for (long i = 0; i < dim; i++) rows[i * p->columns + m] = readout[m * dim + i];
@@ -52,7 +52,7 @@ static long window_series(const paths *p, const double *readout, double *rows, d
     used = last;
   }
   for (long i = 1; i < dim; i++) memmove(series + i * used, series + i * terms, used * sizeof *series);
-  for (long i = 0; i < dim; i++) {
+  for (long i = 0; slopes && i < dim; i++) {
     const double *own = series + i * used;
     double *slope = series + (dim + i) * used;
     slope[used - 1] = 0.0;
@@ -66,10 +66,18 @@ static long window_series(const paths *p, const double *readout, double *rows, d
    Returns 0 without memory. */
 EXPORTED int64_t hamsym_paths(const paths *p, int64_t count, const double *times, double *states, double *rates) {
   long dim = p->dim, terms = p->terms;
-  double *series = malloc((dim * (2 * terms + p->columns + 2 * BLOCK) + terms * BLOCK) * sizeof *series);
-  if (!series) return 0;
-  double *rows = series + 2 * dim * terms, *found = rows + dim * p->columns, *polynomials = found + 2 * dim * BLOCK;
-  double s[BLOCK], x[BLOCK], f[BLOCK];
+  double *series, *rows, *found, *polynomials, *s, *x, *f;
+  arena arena = {0};
+  for (int turn = 0; turn < 2; turn++) { /* count, then lay out */
+    series = take(&arena, 2 * dim * terms);
+    rows = take(&arena, dim * p->columns);
+    found = take(&arena, 2 * dim * BLOCK);
+    polynomials = take(&arena, terms * BLOCK);
+    s = take(&arena, BLOCK);
+    x = take(&arena, BLOCK);
+    f = take(&arena, BLOCK);
+    if (!arena.memory && !allocate(&arena)) return 0;
+  }
   for (long one = 0; one < p->paths; one++) {
     const double *edge = p->edge + p->first_edge[one], *state = p->state + p->first_edge[one] * dim;
     const double *readout = p->readout + p->first_window[one] * p->columns * dim;
@@ -86,7 +94,7 @@ EXPORTED int64_t hamsym_paths(const paths *p, int64_t count, const double *times
         x[b] = 2 * s[b] - 1, f[b] = -s[b];
       }
       hamsym_expm1(f, f, BLOCK);
-      if (window != made) used = window_series(p, readout + window * p->columns * dim, rows, series);
+      if (window != made) used = window_series(p, readout + window * p->columns * dim, rates != 0, rows, series);
       made = window;
       chebyshev_rows(x, used, BLOCK, polynomials);
       products(polynomials, used, BLOCK, series, rates ? 2 * dim : dim, found);
@@ -98,6 +106,6 @@ EXPORTED int64_t hamsym_paths(const paths *p, int64_t count, const double *times
         }
     }
   }
-  free(series);
+  free(arena.whole);
   return 1;
 }

@@ -48,12 +48,14 @@ def times_in_span(t: Any, span: tuple[float, float], *, extrapolate: bool = Fals
         raise InputError("t has an entry that is not a number; give times") from None
     if times.ndim > 1 or times.size == 0:
         raise InputError(f"t has shape {times.shape}; give one time or a list of times")
-    if not np.all(np.isfinite(times)):
-        raise InputError("t has an entry that is not finite; give finite times")
     low, high = min(span), max(span)
     slack = precision * max(abs(low), abs(high))
+    if low - slack <= times.min() and times.max() <= high + slack:
+        return times
+    if not np.all(np.isfinite(times)):
+        raise InputError("t has an entry that is not finite; give finite times")
     outside = (times < low - slack) | (times > high + slack)
-    if not extrapolate and outside.any():
+    if not extrapolate:
         worst = float(np.atleast_1d(times)[np.atleast_1d(outside)][0])
         raise InputError(
             f"t = {worst:.6g} is outside the span from {low:.6g} to {high:.6g}; give times inside "
@@ -66,10 +68,11 @@ def evaluate_in_parts(
     function: Callable[[np.ndarray], tuple[np.ndarray, ...]], times: np.ndarray
 ) -> tuple[np.ndarray, ...]:
     """Apply a function (K,) -> (K, dim) to one time or a list; shape (*times.shape, dim)."""
-    flat = np.atleast_1d(times)
+    flat = times.reshape(-1)
     parts = [function(flat[k : k + _CHUNK]) for k in range(0, len(flat), _CHUNK)]
-    values = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return tuple(value[0] if times.ndim == 0 else value for value in values)
+    if len(parts) > 1:
+        parts = [tuple(np.concatenate(part) for part in zip(*parts, strict=True))]
+    return parts[0] if times.ndim else tuple(value[0] for value in parts[0])
 
 
 def is_tensor(value: Any) -> bool:
