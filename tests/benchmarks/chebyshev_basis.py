@@ -61,9 +61,11 @@ def chebyshev_basis(count: int = 24) -> FeatureBasis:
     )
 
 
-def chebyshev_runs(case: Case, name: str, tolerances: Iterable[float]) -> list[Run]:
+def march_runs(
+    case: Case, name: str, basis: FeatureBasis, tolerances: Iterable[float]
+) -> list[Run]:
     """March alone, without an estimate of the error."""
-    basis, flow = chebyshev_basis(), flow_of(case.H)
+    flow = flow_of(case.H)
 
     def made(tol: float) -> Run:
         def call() -> March:

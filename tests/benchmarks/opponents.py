@@ -53,19 +53,16 @@ class Run:
         What is timed.
     states : callable
         (result of ``call``, times) -> states; not timed.
-    march : str
-        Name under which the time of the march alone is kept too, for :func:`hamsym.solve`.
-    seconds : dict
-        CPU seconds of each repeat, by the name of the method.
+    seconds : list of float
+        CPU seconds of each repeat.
     """
 
     method: str
     asked: float
     call: Callable[[], Any]
     states: Callable[[Any, np.ndarray], np.ndarray]
-    march: str = ""
     once: bool = False
-    seconds: dict[str, list[float]] = field(default_factory=dict)
+    seconds: list[float] = field(default_factory=list)
     error: float = float("inf")
     note: str = ""
 
@@ -77,23 +74,18 @@ class Run:
                 self.error = largest_error(np.asarray(self.states(result, case.t)), case.truth)
             if isinstance(result, hamsym.Solution) and not result.success:
                 self.note = "tolerance not met"
-        self.seconds.setdefault(self.method, []).append(seconds)
-        if self.march:
-            self.seconds.setdefault(self.march, []).append(result.record.cpu_seconds)
+        self.seconds.append(seconds)
 
-    def rows(self, problem: str) -> list[dict[str, Any]]:
-        """One row for each name, with the median of the repeats."""
-        return [
-            {
-                "problem": problem,
-                "method": name,
-                "asked": self.asked,
-                "error": self.error,
-                "seconds": median(values),
-                "note": self.note,
-            }
-            for name, values in self.seconds.items()
-        ]
+    def row(self, problem: str) -> dict[str, Any]:
+        """The result, with the median of the repeats."""
+        return {
+            "problem": problem,
+            "method": self.method,
+            "asked": self.asked,
+            "error": self.error,
+            "seconds": median(self.seconds),
+            "note": self.note,
+        }
 
 
 def compare(case: Case, runs: Iterable[Run], repeats: int) -> list[dict[str, Any]]:
@@ -103,22 +95,25 @@ def compare(case: Case, runs: Iterable[Run], repeats: int) -> list[dict[str, Any
         for run in runs:
             if not (repeat and run.once):
                 run.repeat(case)
-    return [row for run in runs for row in run.rows(case.label)]
+    return [run.row(case.label) for run in runs]
 
 
 # -- hamsym ------------------------------------------------------------------------------------
 
 
-def hamsym_runs(case: Case, name: str, tolerances: Iterable[float]) -> list[Run]:
-    """Run solve as a whole, and its march alone."""
+def hamsym_runs(case: Case, tolerances: Iterable[float]) -> list[Run]:
+    """Run solve, and solve with the states at the common times."""
 
-    def made(tol: float) -> Run:
-        def call() -> hamsym.Solution:
+    def made(tol: float) -> list[Run]:
+        def solved() -> hamsym.Solution:
             return hamsym.solve(case.H, case.z0, case.span, tol=tol)
 
-        return Run(f"{name}: solve", tol, call, lambda found, t: found(t), f"{name}: march")
+        return [
+            Run("hamsym", tol, solved, lambda found, t: found(t)),
+            Run("hamsym, grid", tol, lambda: solved()(case.t), lambda found, t: found),
+        ]
 
-    return [made(tol) for tol in tolerances]
+    return [run for tol in tolerances for run in made(tol)]
 
 
 # -- scipy -------------------------------------------------------------------------------------

@@ -15,14 +15,16 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from hamsym.random_features.basis import feature_basis
+
 from . import markdown
-from .chebyshev_basis import chebyshev_runs
+from .chebyshev_basis import chebyshev_basis, march_runs
 from .opponents import compare, hamsym_runs, interpreted, opponent_runs, scipy_runs
 from .problems import PROBLEMS, Case
 from .results import Section
 
 _ASKED = (1e-6, 1e-9, 1e-11)
-_OWN, _POLYNOMIALS = "hamsym", "Chebyshev"
+_OWN, _OWN_GRID = "hamsym", "hamsym, grid"
 _INTERPRETED = ("DOP853 (scipy)",)
 _FASTEST_DOP853 = ("DOP853 (numbalsoda)", "DOP853 (CyRK)")
 
@@ -40,8 +42,9 @@ def measure(quick: bool) -> Section:
         if not quick:
             lean = interpreted(field)
             slow += scipy_runs(case, "Radau (scipy)", "Radau", lean, _ASKED[:2])
-        fast += hamsym_runs(case, _OWN, own)
-        fast += chebyshev_runs(case, _POLYNOMIALS, own)
+        fast += hamsym_runs(case, own)
+        fast += march_runs(case, "sines", feature_basis(), own)
+        fast += march_runs(case, "Chebyshev", chebyshev_basis(), own)
         for run in fast:
             run.call()  # compiles
         rows += compare(case, slow, repeats)
@@ -65,12 +68,13 @@ def _ratio(rows: list[dict[str, Any]], name: str, asked: float, rivals: Sequence
     return (f"{value:.3f}" if value < 0.1 else f"{value:.2f}") + ("" if equal else "\\*")
 
 
+#: Names of columns, what of hamsym is timed, and its opponents.
 _COLUMNS = (
-    ("over DOP853", _INTERPRETED),
-    ("over compiled DOP853", _FASTEST_DOP853),
-    ("over heyoka", ("heyoka",)),
-    ("over heyoka, grid", ("heyoka, grid",)),
-    ("over diffrax", ("Dopri8 (diffrax)",)),
+    ("over DOP853", _OWN, _INTERPRETED),
+    ("over compiled DOP853", _OWN, _FASTEST_DOP853),
+    ("over diffrax", _OWN, ("Dopri8 (diffrax)",)),
+    ("over heyoka", _OWN, ("heyoka",)),
+    ("with grid, over heyoka with grid", _OWN_GRID, ("heyoka, grid",)),
 )
 
 
@@ -78,16 +82,11 @@ def table(section: Section) -> str:
     lines = []
     for problem in dict.fromkeys(row["problem"] for row in section["rows"]):
         rows = [row for row in section["rows"] if row["problem"] == problem]
-        known = {row["asked"] for row in rows if row["method"] == f"{_OWN}: solve"}
+        known = {row["asked"] for row in rows if row["method"] == _OWN}
         for asked in (asked for asked in _ASKED if any(abs(k / asked - 1) < 1e-6 for k in known)):
-            cells = [problem, f"{asked:.0e}"]
-            for _, rivals in _COLUMNS:
-                march, solve = (
-                    _ratio(rows, f"{_OWN}: {part}", asked, rivals) for part in ("march", "solve")
-                )
-                cells.append(f"{march}, {solve}" if march != "-" else "-")
-            lines.append(cells)
-    head = ["problem", "asked", *(name for name, _ in _COLUMNS)]
+            ratios = (_ratio(rows, own, asked, rivals) for _, own, rivals in _COLUMNS)
+            lines.append([problem, f"{asked:.0e}", *ratios])
+    head = ["problem", "asked", *(name for name, *_ in _COLUMNS)]
     marked = any("\\*" in cell for cells in lines for cell in cells)
     text = markdown.table(head, lines, left=2)
     if marked:
@@ -95,10 +94,10 @@ def table(section: Section) -> str:
     return text + markdown.skipped(section["skipped"])
 
 
-# Colours that the colour-blind can tell apart (Okabe & Ito 2008); dots are marches alone.
+# Colours that the colour-blind can tell apart (Okabe & Ito 2008); dots have the states on a grid.
 _LINES = {
-    f"{_OWN}: solve": ("hamsym", "#D55E00", "s-"),
-    f"{_OWN}: march": ("hamsym, march alone", "#D55E00", "s:"),
+    _OWN: ("hamsym, continuous output", "#D55E00", "s-"),
+    _OWN_GRID: ("hamsym, on a grid", "#D55E00", "s:"),
     "DOP853 (scipy)": ("DOP853, scipy", "#56B4E9", "^-"),
     "DOP853 (scipy, jitted)": ("DOP853, scipy, jitted equations", "#56B4E9", "^:"),
     "LSODA (odeint)": ("LSODA, odeint", "#009E73", "v-"),
