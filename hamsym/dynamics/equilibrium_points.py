@@ -74,7 +74,7 @@ class Finder:
             radius = [above(abs(e - arb(m))) for e, m in zip(root.enclosure, middle, strict=True)]
             energy = self._balls[0].energy(root.enclosure)
         z = np.array(middle) + 0.0
-        self._require_same_function(z, root)
+        self._require_same_function(z)
         return Equilibrium(
             self.H.names,
             z,
@@ -86,12 +86,12 @@ class Finder:
             **known,
         )
 
-    def _require_same_function(self, z: np.ndarray, root: Root) -> None:
+    def _require_same_function(self, z: np.ndarray) -> None:
         """Require that H evaluates the energy and gradient that were proven."""
         assert self._balls is not None
         with working(_COARSE):
-            balls = self._balls[0]
-            found = [balls.energy(root.enclosure), *balls.gradient(root.enclosure)]
+            balls, state = self._balls[0], [arb(value) for value in z.tolist()]
+            found = [balls.energy(state), *balls.gradient(state)]
             middle = [float(entry.mid()) for entry in found]
             radius = [above(entry.rad()) + TINY for entry in found]
         slopes = np.asarray(self.H.compile("numpy").gradient(z))

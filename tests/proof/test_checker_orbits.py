@@ -1,17 +1,15 @@
-"""The independent checker of periodic orbits: what it accepts, and forgeries that it refuses."""
+"""The independent checker of periodic orbits: what it accepts."""
 
 from __future__ import annotations
 
 import json
-import math
 
-import numpy as np
 import pytest
 
 import hamsym
 from hamsym.problems.description import described
 from hamsym.proof.checker.formulas import NotProvenError
-from hamsym.proof.checker.orbits import _Orbit, check_orbit
+from hamsym.proof.checker.orbits import check_orbit
 from hamsym.proof.independent import _orbit_data
 from tests.orbits.test_periodic_orbit import ACROSS, HENON_HEILES, RESTRICTED
 
@@ -85,67 +83,3 @@ def test_orbits_are_verified_and_forged_ones_refused(name):
     for forged in ({"period": [middle + shift, radius]}, {"bound": 1e-3 * claims["bound"]}):
         with pytest.raises(NotProvenError):
             check(orbit, claims | forged)
-
-
-def moved(ball, places, change):
-    """A ball with one middle or radius changed."""
-    middle, radius = (np.array(part, dtype=float) for part in ball)
-    part = (middle, radius)[places[0]]
-    part[places[1:]] = change(part[places[1:]])
-    return [middle.tolist(), radius.tolist()]
-
-
-def forgeries(claims):
-    """Claims that are false, or none at all."""
-    for name in ("z0", "period", "monodromy"):
-        middle, radius = map(np.array, claims[name])
-        for place in np.ndindex(middle.shape):
-            r = float(radius[place])
-            for shift in (4 * r + 1e-15, -1e-9, 0.1, math.nan, math.inf, -math.inf):
-                if not abs(shift) <= 2 * r:  # which may be true
-                    yield name, moved(claims[name], (0, *place), lambda v, s=shift: v + s)
-            for value in (-1.0, math.nan, -5e-324):
-                yield name, moved(claims[name], (1, *place), lambda v, w=value: w)
-    for value in (1e-3 * claims["bound"], 1e-30, 0.0, -1.0, math.nan):
-        yield "bound", value
-    words = ("elliptic", "hyperbolic", "mixed", "complex unstable", "parabolic", "attracting",
-             "repelling", "unstable", "stable", "")  # fmt: skip
-    for word in words:
-        if word != claims["stability"] and (word, claims["stability"]) != (
-            "unstable",
-            "hyperbolic",
-        ):
-            yield "stability", word
-    for value in (0, -1, 10**9):
-        yield "pieces", value
-    yield "components", claims["components"][::-1]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["reversing", "henon", "whole", "three", "period"])
-def test_all_forgeries_are_refused(name, monkeypatch):
-    assert_all_refused(name, monkeypatch)
-
-
-def test_some_forgeries_are_refused(monkeypatch):
-    assert_all_refused("quarter", monkeypatch, 13)
-
-
-def assert_all_refused(name, monkeypatch, every=1):
-    orbit = ORBITS[name]()
-    claims = json.loads(orbit.certify().to_json())
-    proven, known = _Orbit.proven, {}
-
-    def once(self, given, order, *rest):
-        """The orbit in a box, around which all claims are looked at."""
-        if order not in known:
-            known[order] = proven(self, claims, order, *rest)
-        return known[order]
-
-    monkeypatch.setattr(_Orbit, "proven", once)
-    check(orbit, claims)
-    found = [*forgeries(claims)]
-    assert len(found) > 60
-    for field, value in found[::every]:
-        with pytest.raises(NotProvenError):
-            check(orbit, claims | {field: value})

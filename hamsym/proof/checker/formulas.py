@@ -12,7 +12,9 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from decimal import Decimal
 from fractions import Fraction
 from typing import Any
 
@@ -21,6 +23,8 @@ from flint import acb, arb, arb_series, fmpq
 # A keyword of Python that is a name in physics, and the name under which it is parsed.
 _KEYWORD, _STAND_IN = "lambda", "lambda__"
 _LARGEST_POWER = 1_000
+# Power of ten of a number that is written out, and bits of a power of a number.
+_LARGEST, _LONGEST = 1_000, 2**20
 # Functions in terms of those that are evaluated, and the derivatives of these.
 _DEFINED = {
     "sqrt": "x**(1/2)", "acos": "pi/2 - asin(x)", "tan": "sin(x)/cos(x)",
@@ -44,6 +48,15 @@ class NotProvenError(Exception):
 
 class FalseClaimError(NotProvenError):
     """A claim is proven to be false."""
+
+
+@contextmanager
+def refusing_other_forms() -> Iterator[None]:
+    """Turn errors of data that do not have the form of a claim into refusals."""
+    try:
+        yield
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        raise FalseClaimError(f"the data have another form: {error!r:.200}") from None
 
 
 class Formulas:
@@ -104,6 +117,9 @@ class Formulas:
         if exponent in (0, 1):
             return a if exponent == 1 else self.number(1)
         if base is not None and exponent.denominator == 1 and (base or exponent > 0):
+            size = max(base.numerator.bit_length(), base.denominator.bit_length())
+            if size * abs(exponent) > _LONGEST:
+                raise NotProvenError("a power of a number is too long")
             return self.number(base ** int(exponent))
         return self._of("**", a, exponent)
 
@@ -122,14 +138,14 @@ class Formulas:
         text = re.sub(rf"\b{_KEYWORD}\b", _STAND_IN, text.strip())
         try:
             return self._node(ast.parse(text, mode="eval").body, text, names)
-        except (SyntaxError, RecursionError, ValueError, MemoryError) as error:
+        except (ArithmeticError, MemoryError, RecursionError, SyntaxError, ValueError) as error:
             raise NotProvenError(f"the formula cannot be parsed: {error}") from None
 
     def _node(self, node: ast.expr, text: str, names: Mapping[str, int]) -> int:
         match node:
             case ast.Constant(value=int() | float()) if type(node.value) is not bool:
                 written = ast.get_source_segment(text, node) or ""
-                return self.number(Fraction(written.replace("_", "")))
+                return self.number(exact(written.replace("_", "")))
             case ast.Name(id=name):
                 name = _KEYWORD if name == _STAND_IN else name
                 if name in names:
@@ -254,6 +270,14 @@ class Formulas:
             return [values[k] for k in places]
 
         return run
+
+
+def exact(value: str | float) -> Fraction:
+    """The number that is written, unless writing it as a fraction would take too long."""
+    number = Decimal(value)
+    if abs(number.adjusted()) > _LARGEST:
+        raise NotProvenError("a number is too large or too small")
+    return Fraction(number)
 
 
 def ball(value: Fraction | float) -> arb:

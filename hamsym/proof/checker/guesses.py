@@ -28,7 +28,9 @@ from hamsym.proof.checker.functions import (
 
 SHORT = 14  # degree of V and W, where no derivative of the flow is needed
 _NEWTON = 12  # most corrections of y
-_ROUGH, _CLOSE = 2.0**-30, 2.0**30  # correction that changes V and W; the last one, in accuracies
+# Correction of y that changes V and W, and that where derivatives are needed; the last correction,
+# in accuracies.
+_ROUGH, _FINE, _CLOSE = 2.0**-30, 2.0**-60, 2.0**30
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ def guess(
         return [*(part(x) for part in y), time(x)]
 
     for _ in range(_NEWTON):
-        if change > _ROUGH:
+        if change > (_ROUGH if degree == SHORT else _FINE):
             rows = series_of(lambda x: equations.run_all(at(x)), degree)
             A = matrices(equations, rows, r)
             W, V = _flow(A, True), _flow(A, False)

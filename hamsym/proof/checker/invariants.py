@@ -15,7 +15,7 @@ from typing import Any
 
 from flint import fmpq, fmpq_mpoly, fmpq_mpoly_ctx
 
-from hamsym.proof.checker.formulas import Formulas, NotProvenError
+from hamsym.proof.checker.formulas import Formulas, NotProvenError, refusing_other_forms
 from hamsym.proof.checker.functions import Equations, exact_numbers
 
 _Quotient = tuple[fmpq_mpoly, fmpq_mpoly]
@@ -28,14 +28,15 @@ def check_invariant(H: Mapping[str, Any], free: Sequence[str], f: Mapping[str, A
     - free: All other parameters.
     - f: "formula" and "floats".
     """
-    equations = Equations(H, free)
-    formulas, dim = equations.formulas, equations.dim
-    place = formulas.parse(f["formula"], numbers=exact_numbers(f))
-    *slopes, rate = formulas.gradient(place, dim + 1)
-    for slope, velocity in zip(slopes, equations.rates, strict=True):
-        rate = formulas.add(rate, formulas.multiply(slope, velocity))
-    if not vanishes(formulas, rate):
-        raise NotProvenError("its claim that the invariant is conserved is not proven")
+    with refusing_other_forms():
+        equations = Equations(H, free)
+        formulas, dim = equations.formulas, equations.dim
+        place = formulas.parse(f["formula"], numbers=exact_numbers(f))
+        *slopes, rate = formulas.gradient(place, dim + 1)
+        for slope, velocity in zip(slopes, equations.rates, strict=True):
+            rate = formulas.add(rate, formulas.multiply(slope, velocity))
+        if not vanishes(formulas, rate):
+            raise NotProvenError("its claim that the invariant is conserved is not proven")
 
 
 def vanishes(formulas: Formulas, place: int) -> bool:

@@ -16,7 +16,13 @@ from typing import Any
 
 from flint import arb, arb_poly, ctx
 
-from hamsym.proof.checker.formulas import FalseClaimError, NotProvenError, ball
+from hamsym.proof.checker.formulas import (
+    FalseClaimError,
+    NotProvenError,
+    ball,
+    exact,
+    refusing_other_forms,
+)
 from hamsym.proof.checker.functions import UNIT, Equations, Polynomial, clock, expanded
 from hamsym.proof.checker.motion import Step, steps
 from hamsym.proof.checker.trials import Window, windows
@@ -49,14 +55,13 @@ def check_solution(
     for bits, order, accuracy in _ATTEMPTS:
         with ctx.workprec(bits):
             try:
-                check = _Check(H, z0, trial, claims, [Fraction(value) for value in span])
-                return check.run(order, accuracy, check_time)
+                with refusing_other_forms():
+                    check = _Check(H, z0, trial, claims, [Fraction(value) for value in span])
+                    return check.run(order, accuracy, check_time)
             except FalseClaimError:
                 raise
             except NotProvenError as error:
                 failure = failure or error
-            except (ArithmeticError, LookupError, TypeError, ValueError) as error:
-                raise FalseClaimError(f"the data have another form: {error!r}") from None
     raise failure or NotProvenError("there is no proof")
 
 
@@ -179,7 +184,7 @@ def _row(values: Iterable[Any]) -> list[Bound]:
     flat: list[Any] = []
     for value in values:
         flat += value if isinstance(value, list | tuple) else [value]
-    return [Fraction(v) if math.isfinite(float(v)) else float(v) for v in flat]
+    return [exact(v) if math.isfinite(float(v)) else float(v) for v in flat]
 
 
 def _is_zero(trial: Mapping[str, Any], i: int) -> bool:
