@@ -161,75 +161,6 @@ static double length_in(const double *vector, long n, long stride, const double 
   return up(sqrt(up(total)));
 }
 
-/* Add factor terms of one series of `columns` to sums of `terms`, and the roundings to errors. */
-INLINE void add_scaled(double factor, const double *restrict series, long terms, long columns, double *restrict sums,
-                       double *restrict errors) {
-  for (long k = 0; k < terms; k++)
-    for (long c = 0; c < columns; c++) {
-      double p = factor * series[k * columns + c], sum = sums[k * columns + c] + p;
-      sums[k * columns + c] = sum;
-      errors[c] += UNIT * (fabs(p) + fabs(sum));
-    }
-}
-
-/* Bounds on the defect of V, on V(-1) - I and on |B V|, dim x columns each. */
-static int defects_of_flow(const lemma *s, const double *loosely, double *defect, double *start_error, double *loose) {
-  long dim = s->dim, columns = s->columns, terms = s->terms, width = 2 * terms + 1, each = terms * columns;
-  double *memory = calloc(columns * (dim * (width + 2) + 2 * dim * terms + width), sizeof *memory), *sums = memory;
-  if (!memory) return 0;
-  double *errors = sums + dim * columns * width, *sizes = errors + dim * columns, *product = sizes + dim * columns;
-  double *turned = product + columns * width, *back = turned + dim * each; /* V with rows of a term each, and reversed */
-  double series[2 * terms + 1], wide[2 * terms + 2], rest[2 * terms + 2];
-  for (long k = 0; k < dim * columns; k++) sizes[k] = norm_of(s->V + k * terms, 0, terms);
-  for (long i = 0; i < dim; i++)
-    for (long k = 0; k < terms; k++)
-      for (long c = 0; c < columns; c++)
-        turned[i * each + k * columns + c] = back[i * each + (terms - 1 - k) * columns + c] = s->V[i * each + c * terms + k];
-  for (long e = 0; e < s->count; e++) {
-    long i = s->entries[e].i, j = s->entries[e].j, n = s->jacobian_length[e];
-    const double *jacobian = s->jacobian + e * terms;
-    double factor = s->signs[e] * s->half, *own = sums + i * columns * width;
-    if (j >= dim) { /* a rate by a constant, which moves its own column alone */
-      for (long k = 0; k < n; k++) {
-        double p = factor * jacobian[k];
-        own[k * columns + j] += p;
-        errors[i * columns + j] += UNIT * (fabs(p) + fabs(own[k * columns + j]));
-      }
-      loose[i * columns + j] += loosely[e];
-      continue;
-    }
-    double size = multiply_columns(jacobian, n, turned + j * each, back + j * each, terms, columns, product);
-    for (long c = 0; c < columns; c++) {
-      double other = sizes[j * columns + c];
-      errors[i * columns + c] += (1 + GUARD) * s->half * up(UNIT * size * other + HALVING * other);
-      loose[i * columns + c] += loosely[e] * other;
-    }
-    add_scaled(factor, product, n + terms - 1, columns, own, errors + i * columns);
-  }
-  for (long own = 0; own < dim * columns; own++) {
-    const double *V = s->V + own * terms;
-    long c = own % columns;
-    for (long k = 0; k < width; k++) series[k] = sums[(own - c) * width + k * columns + c];
-    ball begin = end_value(V, 0, terms, -1);
-    double first = own / columns == c;
-    start_error[own] = up(fabs(begin.high - first) + fabs(begin.low) + begin.radius);
-    double error = 2 * errors[own] + begin.radius + fabs(begin.low);
-    error += integrate_series(series, 0, width, wide, rest, 0);
-    for (long k = 0; k < 2 * terms + 2; k++) {
-      double value = (k < terms ? V[k] : 0.0) - wide[k];
-      error += UNIT * fabs(value);
-      if (k == 0) {
-        value -= begin.high;
-        error += UNIT * fabs(value);
-      }
-      error += fabs(value);
-    }
-    defect[own] = error < INFINITY ? up(error) : INFINITY;
-  }
-  free(memory);
-  return 1;
-}
-
 /* A bound on the largest eigenvalue of the symmetric part of U^-1 DG U, and 0, by Gershgorin's circles. */
 static int logarithmic_norm(const lemma *s, double *norm) {
   long dim = s->dim, terms = s->terms;
@@ -253,6 +184,7 @@ static int logarithmic_norm(const lemma *s, double *norm) {
       if (j == i) continue;
       const double *one = memory + (i * dim + j) * terms, *other = memory + (j * dim + i) * terms;
       double total = apart[i * dim + j] + apart[j * dim + i];
+      if (total == 0) continue; /* neither is an entry */
       for (long k = 0; k < terms; k++) {
         total += fabs(one[k] + other[k]);
         spread += fabs(one[k]) + fabs(other[k]);
@@ -270,30 +202,32 @@ static int logarithmic_norm(const lemma *s, double *norm) {
 /* Bounds of the lemma: on |z - y| and |d - K xi|, dim, on |V_d - K|, dim x columns, and m. */
 EXPORTED int64_t hamsym_lemma(const lemma *s, double *tube, double *d, double *derivative, double *norm) {
   long dim = s->dim, columns = s->columns, count = s->count;
-  double *memory = calloc(2 * count + 3 * dim * columns + 3 * dim, sizeof *memory);
+  double *memory = calloc(2 * count + dim * columns + 3 * dim, sizeof *memory);
   if (!memory) return 0;
-  double *large = memory, *loosely = large + count; /* |A_ij|, |B_ij| */
-  double *defect = loosely + count, *start_error = defect + dim * columns, *residual = start_error + dim * columns;
+  double *large = memory, *loosely = large + count, *residual = loosely + count; /* |A_ij|, |B_ij|, |B V| + |A K| */
   double *begun = residual + dim * columns, *reach = begun + dim, *hidden = reach + dim;
-  for (long e = 0; e < count; e++) {
-    double size = norm_of(s->jacobian + e * s->terms, 0, s->jacobian_length[e]) + s->jacobian_radius[e];
-    large[e] = s->half * size * (1 + GUARD) + UNDERFLOW_ERROR;
-    loosely[e] = s->half * s->jacobian_radius[e] * (1 + GUARD) + UNDERFLOW_ERROR;
-  }
-  if (!defects_of_flow(s, loosely, defect, start_error, residual) || !logarithmic_norm(s, norm)) {
+  if (!logarithmic_norm(s, norm)) {
     free(memory);
     return 0;
   }
-  for (long e = 0; e < count; e++)
-    for (long c = 0; c < columns && s->entries[e].j < dim; c++)
-      residual[s->entries[e].i * columns + c] += large[e] * defect[s->entries[e].j * columns + c];
+  for (long e = 0; e < count; e++) {
+    long i = s->entries[e].i, j = s->entries[e].j;
+    double size = norm_of(s->jacobian + e * s->terms, 0, s->jacobian_length[e]) + s->jacobian_radius[e];
+    large[e] = s->half * size * (1 + GUARD) + UNDERFLOW_ERROR;
+    loosely[e] = s->half * s->jacobian_radius[e] * (1 + GUARD) + UNDERFLOW_ERROR;
+    double *own = residual + i * columns;
+    if (j >= dim) own[j] += loosely[e];
+    else
+      for (long c = 0; c < columns; c++)
+        own[c] += loosely[e] * s->sizes[j * columns + c] + large[e] * s->defect[j * columns + c];
+  }
   for (long k = 0; k < dim * columns; k++) residual[k] = up(residual[k]);
   double growth = absolute(exponential(ball_of(up(2 * s->half * *norm))));
   for (long i = 0; i < dim; i++) {
     hidden[i] = UNDERFLOW_ERROR;
     for (long c = 0; c < columns; c++) {
-      begun[i] += start_error[i * columns + c] * s->start[c];
-      hidden[i] += defect[i * columns + c] * s->start[c];
+      begun[i] += s->start_error[i * columns + c] * s->start[c];
+      hidden[i] += s->defect[i * columns + c] * s->start[c];
     }
   }
   for (long e = 0; e < count; e++) {
@@ -308,21 +242,38 @@ EXPORTED int64_t hamsym_lemma(const lemma *s, double *tube, double *d, double *d
     tube[i] = up(s->hull[i] + s->D[i] + d[i]);
   }
   for (long c = 0; c < columns; c++) {
-    double first = length_in(start_error + c, dim, columns, s->units);
+    double first = length_in(s->start_error + c, dim, columns, s->units);
     double rate = length_in(residual + c, dim, columns, s->units), most = up(growth * (first + 2 * rate));
     for (long i = 0; i < dim; i++)
-      derivative[i * columns + c] = up(s->units[i] * most + defect[i * columns + c]);
+      derivative[i * columns + c] = up(s->units[i] * most + s->defect[i * columns + c]);
   }
   free(memory);
   return 1;
 }
 
+/* Some rows of a product with TOGETHER columns, k x TOGETHER. */
+INLINE void multiply_rows(const double *a, const double *columns, int height, long k, double *out, long stride) {
+  v4 sums[8];
+  add_up(columns, k, TOGETHER, a, height, 2, sums);
+  for (int i = 0; i < height; i++) store(out + i * stride, sums[2 * i]), store(out + i * stride + 4, sums[2 * i + 1]);
+}
+
 /* The product of matrices, n x k and k x m; every sum has the same order everywhere. */
 EXPORTED void hamsym_product(const double *a, const double *b, int64_t n, int64_t k, int64_t m, double *out) {
-  memset(out, 0, n * m * sizeof(double));
+  double columns[(k + 1) * TOGETHER]; /* one after the other, where they stay in the cache */
+  long c = 0;
+  for (; c + TOGETHER <= m; c += TOGETHER) {
+    for (long j = 0; j < k; j++) memcpy(columns + j * TOGETHER, b + j * m + c, TOGETHER * sizeof *b);
+    long i = 0;
+    for (; i + 4 <= n; i += 4) multiply_rows(a + i * k, columns, 4, k, out + i * m + c, m);
+    for (; i < n; i++) multiply_rows(a + i * k, columns, 1, k, out + i * m + c, m);
+  }
   for (long i = 0; i < n; i++)
-    for (long j = 0; j < k; j++)
-      for (long c = 0; c < m; c++) out[i * m + c] += a[i * k + j] * b[j * m + c];
+    for (long d = c; d < m; d++) {
+      double sum = 0.0;
+      for (long j = 0; j < k; j++) sum += a[i * k + j] * b[j * m + d];
+      out[i * m + d] = sum;
+    }
 }
 
 /* Balance a matrix, dim x dim, of positive numbers beside its diagonal: in units of the components, sums of rows

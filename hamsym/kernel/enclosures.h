@@ -13,6 +13,8 @@
 
 #include "series.h"
 
+#define TOGETHER 8 /* columns that are computed together */
+
 /* An entry (i, j) of a matrix, in a row of numbers. */
 typedef struct { int64_t i, j, place; } entry;
 
@@ -26,6 +28,7 @@ typedef struct {
   const double *start; /* bounds on |xi|, columns */
   const double *hull;  /* bounds on |V xi| over the window, dim */
   const double *V;     /* coefficients, dim x columns x terms */
+  const double *sizes, *defect, *start_error; /* bounds on |V|, |K| and |F|, dim x columns */
   const double *D;     /* bounds on |D|, dim */
   double half;         /* an upper bound on w */
   const double *units; /* any numbers > 0: roundings of their ratios are among those of the products */
@@ -48,6 +51,7 @@ int iterate_correction(const double *rows, const entry *entries, const double *s
                        long most, double enough, double *found);
 void hamsym_defects(const series_step *program, int64_t steps, const int64_t *results, const series_rows *rows,
                     int64_t dim, const ball *half, double *found, double *sizes);
+int64_t hamsym_flow_defects(const lemma *s, double *defect, double *start_error);
 int64_t hamsym_lemma(const lemma *s, double *tube, double *d, double *derivative, double *norm);
 void hamsym_balance(const double *matrix, int64_t dim, double *units);
 int64_t hamsym_moved_set(const double *J, const double *J_error, const double *C, const double *r0, int64_t n,

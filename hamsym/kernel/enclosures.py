@@ -10,7 +10,6 @@ from __future__ import annotations
 import ctypes
 import functools
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -36,7 +35,7 @@ BALL_FUNCTIONS = (
 # Result and arguments of each function, whose names begin with hamsym_; see loops._KINDS.
 _SIGNATURES = {
     "balls": "v iippp",
-    "norm": "d ppi",
+    "norms": "v ppiip",
     "multiply_series": "d ppippippi",
     "integrate_series": "d ppippi",
     "differentiate_series": "d ppippi",
@@ -47,10 +46,12 @@ _SIGNATURES = {
     "tangents": "i pnpiiippiidpdp",
     "correction": "i pnpiipidppip",
     "defects": "v ninsippp",
+    "flow_defects": "i spp",
     "lemma": "i spppp",
     "moved_set": "i ppppiiiipp",
     "set_radius": "i ppppiiiip",
     "boxed_set": "i pppiiipp",
+    "moved_sizes": "i pppiiiip",
     "chebyshev_balls": "v pip",
     "matrix_value": "v ppiipp",
     "vector_value": "v pppiip",
@@ -86,8 +87,8 @@ class Models(Record):
         if terms > MOST_TERMS:
             raise ValueError(f"series of {terms} terms; the library has room for {MOST_TERMS}")
         for array in (values, series, high, low, radius):
-            _pointer(array, "p")
-        _pointer(length, "n")
+            pointer(array, "p")
+        pointer(length, "n")
         rows = {"high": high, "low": low, "radius": radius, "length": length}
         super().__init__(terms=terms, values=values, series=series, **rows)
 
@@ -97,117 +98,11 @@ class _Lemma(Record):
 
     _fields_ = [
         *counts("dim columns terms count"),
-        *arrays("jacobian jacobian_radius jacobian_length entries signs start hull V D"),
+        *arrays("jacobian jacobian_radius jacobian_length entries signs start hull"),
+        *arrays("V sizes defect start_error D"),
         *numbers("half"),
         *arrays("units"),
     ]
-
-
-class Prepared(Record):
-    """A program with its models and with values at points, shape (registers, points).
-
-    - registers: ``step`` and ``still_step``, rows (operation, target, first, second);
-      ``constant``, ``place`` and ``result``, registers of numbers, of what is still, of results;
-      and the ``number`` of each constant, a ball.
-    - values_of: Of the terms of models at the points, shape (terms, points).
-    """
-
-    _fields_ = [
-        *counts("steps still constants places points"),
-        *arrays("step still_step constant place result number rows values_of values"),
-    ]
-
-    def __init__(
-        self, models: Models, values_of: np.ndarray, values: np.ndarray, **registers: np.ndarray
-    ) -> None:
-        for name, array in registers.items():
-            _pointer(array, "p" if name == "number" else "n")
-        sizes = [len(registers[name]) for name in ("step", "still_step", "constant", "place")]
-        names = ("steps", "still", "constants", "places")
-        super().__init__(
-            **dict(zip(names, sizes, strict=True)),
-            points=_points(values),
-            **registers,
-            rows=models,
-            values_of=values_of,
-            values=values,
-        )
-
-
-class MarchProof(Record):
-    """A march and the state of its proof, which the library changes.
-
-    - entries, placed: Rows (i, j, place) with results and with registers; ``signs`` beside them.
-    - integral: At the points of y; ``fewer_steps`` are those of V; see :meth:`Enclosures.tangents`.
-    - fewer: From values at the points of y to those at the points of V.
-    - features: Models of the features on a window, and readouts, shape (windows, dim, features).
-    - states, edges: Of the windows, shapes (windows + 1, dim) and (windows + 1,).
-    - most: Columns of the set.
-    """
-
-    _fields_ = [
-        *counts("dim entries inner most orders"),
-        *arrays("rates jacobian energy entry placed signs integral fewer_steps fewer"),
-        *arrays("features trial"),
-        *arrays("readouts states edges"),
-        *numbers("origin"),
-        *arrays("sizes couplings centre centre_low G R"),
-        *counts("columns"),
-    ]
-
-    def __init__(
-        self,
-        programs: Sequence[Prepared],
-        entries: np.ndarray,
-        placed: np.ndarray,
-        signs: np.ndarray,
-        integral: np.ndarray,
-        fewer_steps: np.ndarray,
-        fewer: np.ndarray,
-        features: Models,
-        readouts: np.ndarray,
-        states: np.ndarray,
-        edges: np.ndarray,
-        origin: float,
-        most: int,
-    ) -> None:
-        windows, dim, inner = readouts.shape
-        _require(states.shape == (windows + 1, dim) and edges.shape == (windows + 1,))
-        for array, kind in ((readouts, "p"), (states, "p"), (edges, "p"), (entries, "n")):
-            _pointer(array, kind)
-        rates, jacobian, energy = programs
-        (high, low), length = np.zeros((2, dim, features.terms)), np.ones(dim, dtype=np.int64)
-        tables = features["values"], features["series"]
-        trial = Models(*tables, high, low, np.zeros(dim), length)
-        super().__init__(
-            dim=dim,
-            entries=len(entries),
-            inner=inner,
-            most=most,
-            rates=rates,
-            jacobian=jacobian,
-            energy=energy,
-            entry=entries,
-            placed=placed,
-            signs=signs,
-            integral=integral,
-            fewer_steps=fewer_steps,
-            orders=fewer_steps.shape[2],
-            fewer=fewer,
-            features=features,
-            trial=trial,
-            readouts=readouts,
-            states=states,
-            edges=edges,
-            origin=origin,
-            sizes=np.zeros(dim),
-            couplings=np.zeros((dim, dim)),
-            centre=states[0].copy(),
-            centre_low=np.zeros(dim),
-            G=np.zeros((dim, most)),
-            R=np.zeros(most),
-            columns=0,
-        )
 
 
 class Enclosures:
@@ -223,7 +118,7 @@ class Enclosures:
         """Call a function; arrays, which must have their numbers in one piece, become pointers."""
         function, kinds = self._functions[name]
         given = zip(arguments, kinds, strict=True)
-        return function(*[_pointer(a, k) if isinstance(a, np.ndarray) else a for a, k in given])
+        return function(*[pointer(a, k) if isinstance(a, np.ndarray) else a for a, k in given])
 
     # -- balls -----------------------------------------------------------------------------------
 
@@ -236,15 +131,18 @@ class Enclosures:
         x = _reals(x)
         out = np.empty((len(x), 2, 3)) if function == "sine_cosine" else np.empty((len(x), 3))
         second = x if y is None else _reals(y)
-        _require(len(x) == len(second))
+        require_fit(len(x) == len(second))
         self._call("balls", BALL_FUNCTIONS.index(function), len(x), x, second, out)
         return out
 
     # -- series ----------------------------------------------------------------------------------
 
-    def norm(self, high: np.ndarray, low: np.ndarray) -> float:
-        """Bound the sum of the magnitudes of the coefficients of a series."""
-        return float(self._call("norm", _reals(high), _reals(low), len(high)))
+    def norms(self, high: np.ndarray, low: np.ndarray | None = None) -> np.ndarray:
+        """Bound the sums of the magnitudes of the coefficients of series, shape (..., terms)."""
+        high, rest = _reals(high), None if low is None else _reals(low)
+        out = np.empty(high.shape[:-1])
+        self._call("norms", high, rest, out.size, high.shape[-1], out)
+        return out
 
     def multiply_series(
         self,
@@ -294,7 +192,7 @@ class Enclosures:
 
     def run_values(self, program: np.ndarray, rows: np.ndarray) -> None:
         """Run a program on values at points, without bounds; rows (registers, points)."""
-        self._call("run_values", program, len(program), rows, _points(rows))
+        self._call("run_values", program, len(program), rows, points_of(rows))
 
     def collocate(
         self,
@@ -310,7 +208,7 @@ class Enclosures:
 
         It is 0 where y is not finite.
         """
-        given = program, len(program), results, rows, _points(rows), _reals(integral), start
+        given = program, len(program), results, rows, points_of(rows), _reals(integral), start
         found = int(self._call("collocate", *given, len(start), half, most))
         require_memory(found >= 0)
         return found
@@ -335,7 +233,7 @@ class Enclosures:
         - enough: Size of terms that are left out.
         """
         points, orders = rows.shape[1], steps.shape[2]
-        _require(steps.shape[:2] == series.shape == (points, points))
+        require_fit(steps.shape[:2] == series.shape == (points, points))
         found = np.empty((dim, columns, points))
         given = rows, entries, signs, len(entries), dim, columns, steps, series, points, orders
         require_memory(self._call("tangents", *given, half, units, enough, found))
@@ -373,6 +271,42 @@ class Enclosures:
         self._call("defects", *given, found, sizes)
         return found, sizes
 
+    def flow_defects(
+        self,
+        jacobian: np.ndarray,
+        jacobian_length: np.ndarray,
+        entries: np.ndarray,
+        signs: np.ndarray,
+        V: np.ndarray,
+        sizes: np.ndarray,
+        half: float,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Bound the defect K of V, and F = V(-1) - I, shapes (dim, columns).
+
+        - jacobian, jacobian_length: Models of the entries of DG, in the order of ``entries``.
+        - entries, signs: Rows (i, j, place); signs.
+        - V, sizes: Coefficients, shape (dim, columns, terms); bounds on \\|V\\|.
+        - half: An upper bound on w.
+        """
+        dim, columns, terms = V.shape
+        require_fit(jacobian.shape == (len(entries), terms) and sizes.shape == (dim, columns))
+        defect, start_error = np.empty((2, dim, columns))
+        step = _Lemma(
+            dim=dim,
+            columns=columns,
+            terms=terms,
+            count=len(entries),
+            jacobian=jacobian,
+            jacobian_length=jacobian_length,
+            entries=entries,
+            signs=signs,
+            V=V,
+            sizes=sizes,
+            half=half,
+        )
+        require_memory(self._call("flow_defects", ctypes.byref(step), defect, start_error))
+        return defect, start_error
+
     def transport(
         self,
         jacobian: np.ndarray,
@@ -382,11 +316,12 @@ class Enclosures:
         signs: np.ndarray,
         start: np.ndarray,
         hull: np.ndarray,
-        V: np.ndarray,
+        sizes: np.ndarray,
+        defect: np.ndarray,
+        start_error: np.ndarray,
         D: np.ndarray,
         half: float,
         units: np.ndarray,
-        dim: int,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         """Compute the bounds of the lemma: on |z - y|, |d - K xi|, |V_d - K|; and m.
 
@@ -395,19 +330,18 @@ class Enclosures:
         - entries, signs: Rows (i, j, place); signs.
         - start: Bounds on \\|xi\\|, shape (columns,).
         - hull: Bounds on \\|V xi\\| over the window, shape (dim,).
-        - V: Coefficients, shape (dim, columns, terms).
+        - sizes: Bounds on \\|V\\|, and those of :meth:`flow_defects` for the same coefficients of
+          models.
         - D: Bounds on \\|D\\|, shape (dim,).
         - half: An upper bound on w.
         - units: Shape (dim,), any numbers > 0.
         """
-        _, columns, terms = V.shape
-        if jacobian.shape[1:] != (terms,):
-            raise ValueError(f"models of {jacobian.shape[1]} terms beside V of {terms}")
+        dim, columns = sizes.shape
         (tube, d), derivative, norm = np.empty((2, dim)), np.empty((dim, columns)), np.empty(1)
         step = _Lemma(
             dim=dim,
             columns=columns,
-            terms=terms,
+            terms=jacobian.shape[1],
             count=len(entries),
             jacobian=jacobian,
             jacobian_radius=jacobian_radius,
@@ -416,7 +350,9 @@ class Enclosures:
             signs=signs,
             start=start,
             hull=hull,
-            V=V,
+            sizes=sizes,
+            defect=defect,
+            start_error=start_error,
             D=D,
             half=half,
             units=units,
@@ -434,7 +370,7 @@ class Enclosures:
         The bounds hold for all r, shape (columns, kinds), with \\|r\\| <= r0.
         """
         (n, k), (columns, kinds) = J.shape, r0.shape
-        _require(J_error.shape == (n, k) and C.shape == (k, columns))
+        require_fit(J_error.shape == (n, k) and C.shape == (k, columns))
         found, rest = np.empty((n, columns)), np.empty((n, kinds))
         given = [_reals(array) for array in (J, J_error, C, r0)]
         require_memory(self._call("moved_set", *given, n, k, columns, kinds, found, rest))
@@ -445,7 +381,7 @@ class Enclosures:
     ) -> np.ndarray:
         """Bound components of (value +- error) G r with \\|r\\| <= R, shape (n, kinds)."""
         (n, k), (columns, kinds) = value.shape, R.shape
-        _require(error.shape == (n, k) and G.shape == (k, columns))
+        require_fit(error.shape == (n, k) and G.shape == (k, columns))
         found = np.empty((n, kinds))
         given = [_reals(array) for array in (value, error, G, R)]
         require_memory(self._call("set_radius", *given, n, k, columns, kinds, found))
@@ -456,26 +392,36 @@ class Enclosures:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Cover sets {G r} with \\|r\\| <= R by {P r'} in as many columns as rows: P and R'."""
         (n, count), kinds = G.shape, R.shape[1]
-        _require(len(R) == count and len(units) == n)
+        require_fit(len(R) == count and len(units) == n)
         P, found = np.empty((n, n)), np.empty((n, kinds))
         given = [_reals(array) for array in (G, R, units)]
         require_memory(self._call("boxed_set", *given, n, count, kinds, P, found))
         return P, found
 
+    def moved_sizes(self, V: np.ndarray, G: np.ndarray, R: np.ndarray) -> np.ndarray:
+        """Sum the magnitudes of the coefficients of V G times R, without bounds, shape (dim,)."""
+        dim, columns, terms = V.shape
+        require_fit(G.shape == (columns, len(R)))
+        found = np.empty(dim)
+        given = [_reals(array) for array in (V, G.T, R)]
+        require_memory(self._call("moved_sizes", *given, dim, columns, terms, len(R), found))
+        return found
+
     def product(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Compute a @ b of matrices or vectors, whose sums have one order on every processor."""
         left, right = _reals(a), _reals(b)
-        _require(left.shape[-1] == len(right))
+        require_fit(left.shape[-1] == len(right))
         out = np.empty((*left.shape[:-1], *right.shape[1:]))
         rows, columns = math.prod(left.shape[:-1]), math.prod(right.shape[1:])
         self._call("product", left, right, rows, len(right), columns, out)
         return out
 
     def follow(
-        self, proof: MarchProof, first: int, last: int, apart: np.ndarray, radius: np.ndarray
+        self, proof: Record, first: int, last: int, apart: np.ndarray, radius: np.ndarray
     ) -> int:
         """Prove windows of a march up to the last one; return how many were proven.
 
+        - proof: A :class:`~hamsym.kernel.followed.MarchProof`.
         - apart: Coefficients of z^ - y, shape (windows, dim, terms), and ``radius`` bounds on the
           rest of the error, shape (windows, dim), which are written.
         """
@@ -483,7 +429,7 @@ class Enclosures:
 
     def balance(self, matrix: np.ndarray, units: np.ndarray) -> None:
         """Improve the units of components, in which a matrix of couplings is nearly balanced."""
-        _require(matrix.shape == (len(units), len(units)))
+        require_fit(matrix.shape == (len(units), len(units)))
         self._call("balance", matrix, len(units), units)
 
     # -- values ----------------------------------------------------------------------------------
@@ -498,14 +444,14 @@ class Enclosures:
         """Compute values of series, shape (..., terms), and bounds on their errors."""
         series = _reals(series)
         found, error = np.empty((2, *series.shape[:-1]))
-        _require(series.shape[-1] <= len(basis))
+        require_fit(series.shape[-1] <= len(basis))
         self._call("matrix_value", series, basis, found.size, series.shape[-1], found, error)
         return found, error
 
     def vector_value(self, high: np.ndarray, low: np.ndarray, basis: np.ndarray) -> np.ndarray:
         """Compute values of series, shape (n, terms), as balls, shape (n, 3)."""
         found = np.empty((len(high), 3))
-        _require(high.shape == low.shape and high.shape[1] <= len(basis))
+        require_fit(high.shape == low.shape and high.shape[1] <= len(basis))
         self._call("vector_value", _reals(high), _reals(low), basis, *high.shape, found)
         return found
 
@@ -522,7 +468,7 @@ class Enclosures:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Compute models of weights @ f + bias: (high, low, radius, length)."""
         found = _empty_models(len(weights), high.shape[1])
-        _require(weights.shape == (len(bias), len(high)))
+        require_fit(weights.shape == (len(bias), len(high)))
         none = np.empty(0)
         given, out = Models(none, none, high, low, radius, length), Models(none, none, *found)
         pointers = [ctypes.byref(rows) for rows in (given, out)]
@@ -542,7 +488,7 @@ class Enclosures:
         \\|a\\| + \\|b\\| must be at most one, up to rounding.
         """
         found = _empty_models(ch.shape[1], terms)
-        _require(ch.shape == cl.shape)
+        require_fit(ch.shape == cl.shape)
         out = Models(np.empty(0), np.empty(0), *found)
         given = _reals(ch), _reals(cl), *ch.shape, _reals(a), _reals(b)
         self._call("clenshaw", *given, ctypes.byref(out))
@@ -571,7 +517,8 @@ def enclosures() -> Enclosures:
     return Enclosures(kernel_library())
 
 
-def _pointer(array: np.ndarray, kind: str) -> int:
+def pointer(array: np.ndarray, kind: str) -> int:
+    """Return the address of an array of numbers (p) or of integers, which must be in one piece."""
     if array.dtype.char not in ("d" if kind == "p" else "lq") or not array.flags.c_contiguous:
         raise ValueError(f"the library needs another layout or type than {array.dtype}")
     return address(array)
@@ -581,13 +528,14 @@ def _reals(array: ArrayLike) -> np.ndarray:
     return np.ascontiguousarray(array, dtype=float)
 
 
-def _require(fits: bool) -> None:
+def require_fit(fits: bool) -> None:
     """Refuse arrays of which the library would read beyond the end."""
     if not fits:
         raise ValueError("the shapes of the arrays do not fit")
 
 
-def _points(rows: np.ndarray) -> int:
+def points_of(rows: np.ndarray) -> int:
+    """Return the number of points of values, shape (registers, points)."""
     points = int(rows.shape[1])
     if points % 8:
         raise ValueError(f"{points} points are not a multiple of 8")

@@ -199,7 +199,8 @@ static int move_set(march_proof *m, const window *w, const double *added) {
 static int prove_window(march_proof *m, ball slope, const window *w) {
   const prepared *jacobian = m->jacobian, *energy = m->energy;
   long dim = m->dim, terms = m->rates->rows->terms, fewer = jacobian->rows->terms, count = m->entries;
-  double offset[dim], xi[dim], hull[dim], found[dim], d[dim], derivative[dim * dim], added[dim], norm;
+  double offset[dim], xi[dim], hull[dim], found[dim], d[dim], added[dim], norm;
+  double of_V[4][dim * dim], *sizes = of_V[0], *defect = of_V[1], *start_error = of_V[2], *derivative = of_V[3];
   double *models = w->models, *radii = models + count * fewer, half = fabs(slope.high) * (1 + APART);
   int64_t lengths[count];
   for (long i = 0; i < dim; i++) {
@@ -212,7 +213,7 @@ static int prove_window(march_proof *m, ball slope, const window *w) {
   for (long i = 0; i < dim; i++) {
     double size = 0.0, beside = 0.0;
     for (long c = 0; c < dim; c++) {
-      double large = norm_of(w->V + (i * dim + c) * fewer, 0, fewer);
+      double large = sizes[i * dim + c] = norm_of(w->V + (i * dim + c) * fewer, 0, fewer);
       size += large * xi[c];
       beside += large * offset[c];
     }
@@ -220,7 +221,8 @@ static int prove_window(march_proof *m, ball slope, const window *w) {
     added[i] = beside;
     w->tube[i] = 1.5 * (hull[i] + 2 * w->D[i]) + 4 * UNIT * UNIT * m->sizes[i] + SMALL;
   }
-  lemma step = {dim, dim, fewer, count, models, radii, lengths, m->entry, m->signs, xi, hull, w->V, w->D, half, w->units};
+  lemma step = {dim, dim, fewer, count, models, radii, lengths, m->entry, m->signs, xi, hull, w->V,
+                sizes, defect, start_error, w->D, half, w->units};
   int accepted = 0;
   for (int attempt = 0; attempt < TUBES && !accepted; attempt++) {
     put_state(jacobian, w, dim, terms);
@@ -232,7 +234,7 @@ static int prove_window(march_proof *m, ball slope, const window *w) {
       radii[e] = up(jacobian->rows->radius[row] + AROUND * norm_of(models + e * fewer, 0, length));
       lengths[e] = length;
     }
-    if (!hamsym_lemma(&step, found, d, derivative, &norm)) return 0;
+    if (!hamsym_flow_defects(&step, defect, start_error) || !hamsym_lemma(&step, found, d, derivative, &norm)) return 0;
     accepted = 1;
     for (long i = 0; i < dim; i++) accepted = accepted && found[i] < w->tube[i];
     for (long i = 0; i < dim && !accepted; i++) w->tube[i] = larger(2 * found[i], w->tube[i]);

@@ -54,35 +54,27 @@ static void reverse(const double *b, long n, double *out) {
   for (long j = 0; j < n; j++) out[j] = b[n - 1 - j];
 }
 
-double multiply_columns(const double *a, long na, const double *b, const double *back, long nb, long columns,
-                        double *out) {
-  double size = 0.0;
-  memset(out, 0, (na + nb - 1) * columns * sizeof *out);
-  for (long i = na - 1; i >= 0; i--) {
-    /* Terms b_j with j <= i go to i - j, the others to j - i. */
-    long n = lesser(i + 1, nb), skipped = nb - n;
-    double x = 0.5 * a[i];
-    size += (PER_PRODUCT + PER_SUM * (i + 1)) * fabs(a[i]);
-    if (x == 0) continue;
-    add_times(x, b, nb * columns, out + i * columns);
-    add_times(x, back + skipped * columns, n * columns, out + (i + 1 - n) * columns);
-    if (skipped > 0) add_times(x, b + n * columns, skipped * columns, out + columns);
-  }
-  return size;
-}
-
 double multiply_series(const double *ah, const double *al, long na, const double *bh, const double *bl, long nb,
                        double *oh, double *ol, int twice) {
   long count = na + nb - 1;
   double size = 0.0, other = 0.0, back[nb], back_low[nb];
+  memset(oh, 0, count * sizeof *oh);
   memset(ol, 0, count * sizeof *ol);
   for (long k = 0; k < nb; k++) other += fabs(bh[k]) + (bl ? fabs(bl[k]) : 0.0);
   reverse(bh, nb, back);
   if (!twice) {
-    size = multiply_columns(ah, na, bh, back, nb, 1, oh);
+    for (long i = na - 1; i >= 0; i--) {
+      /* Terms b_j with j <= i go to i - j, the others to j - i. */
+      long n = lesser(i + 1, nb), skipped = nb - n;
+      double x = 0.5 * ah[i];
+      size += (PER_PRODUCT + PER_SUM * (i + 1)) * fabs(ah[i]);
+      if (x == 0) continue;
+      add_times(x, bh, nb, oh + i);
+      add_times(x, back + skipped, n, oh + i + 1 - n);
+      if (skipped > 0) add_times(x, bh + n, skipped, oh + 1);
+    }
     return finished(oh, ol, count, UNIT * size * other + HALVING * other);
   }
-  memset(oh, 0, count * sizeof *oh);
   reverse(bl, nb, back_low);
   for (long i = na - 1; i >= 0; i--) {
     long n = lesser(i + 1, nb), skipped = nb - n;
@@ -504,8 +496,8 @@ void run_series(const series_step *program, long steps, const series_rows *rows,
 
 /* -- for Python -------------------------------------------------------------------------------- */
 
-EXPORTED double hamsym_norm(const double *high, const double *low, int64_t count) {
-  return norm_of(high, low, count);
+EXPORTED void hamsym_norms(const double *high, const double *low, int64_t rows, int64_t terms, double *out) {
+  for (int64_t k = 0; k < rows; k++) out[k] = norm_of(high + k * terms, low ? low + k * terms : 0, terms);
 }
 
 EXPORTED double hamsym_multiply_series(const double *ah, const double *al, int64_t na, const double *bh,

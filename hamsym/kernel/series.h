@@ -62,10 +62,6 @@ void apply_table(const double *table, const double *vector, long count, long n, 
    parts of factors may be missing where they are not used. */
 double multiply_series(const double *ah, const double *al, long na, const double *bh, const double *bl, long nb,
                        double *oh, double *ol, int twice);
-/* The product in float64 of one series and several ones, in rows of a term each; `back` has their terms in reverse. The
-   error of each is at most UNIT times what is returned and HALVING, times the size of the other factor. */
-double multiply_columns(const double *a, long na, const double *b, const double *back, long nb, long columns,
-                        double *out);
 double integrate_series(const double *ch, const double *cl, long count, double *oh, double *ol, int twice);
 /* The value at -1 or 1. */
 ball end_value(const double *high, const double *low, long count, int end);

@@ -68,6 +68,29 @@ EXPORTED int64_t hamsym_set_radius(const double *value, const double *error, con
   return 1;
 }
 
+/* |V G| R, without the roundings of its products, for each of dim rows of series, columns x terms; `turned` is G with
+   rows and columns exchanged. */
+EXPORTED int64_t hamsym_moved_sizes(const double *V, const double *turned, const double *R, int64_t dim, int64_t columns,
+                                    int64_t terms, int64_t count, double *found) {
+  double own[(columns + 1) * TOGETHER], *memory = malloc((count + 1) * (TOGETHER + 1) * sizeof *memory);
+  if (!memory) return 0;
+  double *sizes = memory + (count + 1) * TOGETHER;
+  for (long i = 0; i < dim; i++, V += columns * terms) {
+    memset(sizes, 0, count * sizeof *sizes);
+    for (long k = 0; k < terms; k += TOGETHER) {
+      long used = terms - k < TOGETHER ? terms - k : TOGETHER;
+      for (long c = 0; c < columns; c++)
+        for (long t = 0; t < TOGETHER; t++) own[c * TOGETHER + t] = t < used ? V[c * terms + k + t] : 0.0;
+      hamsym_product(turned, own, count, columns, TOGETHER, memory);
+      for (long r = 0; r < count * TOGETHER; r++) sizes[r / TOGETHER] += fabs(memory[r]);
+    }
+    found[i] = 0.0;
+    for (long r = 0; r < count; r++) found[i] += sizes[r] * R[r];
+  }
+  free(memory);
+  return 1;
+}
+
 /* Make columns orthogonal one after the other, twice; unit vectors where nothing is left. */
 static void make_orthogonal(double *found, long n) {
   for (long c = 0; c < n; c++) {

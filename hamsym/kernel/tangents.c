@@ -3,8 +3,6 @@
 #include "enclosures.h"
 #include <stdlib.h>
 
-#define TOGETHER 8 /* columns that are computed together */
-
 /* What the steps have in common. */
 typedef struct {
   const entry *entries;
@@ -40,8 +38,8 @@ static long expand(const motion_of_tangents *m, const double *rows, const double
   return most < orders ? most : orders;
 }
 
-/* Move some columns of V over a step, from their first terms, which become those of the next step. */
-static void move(const motion_of_tangents *m, long first, long orders) {
+/* Move columns of V over a step, from their first terms, which become those of the next step; four in a vector. */
+INLINE void move_columns(const motion_of_tangents *m, long first, long orders, int vectors) {
   long stride = m->orders * TOGETHER;
   for (long n = 0; n + 1 < orders; n++) {
     memset(m->rates, 0, m->dim * TOGETHER * sizeof *m->rates);
@@ -54,24 +52,28 @@ static void move(const motion_of_tangents *m, long first, long orders) {
         continue;
       }
       const double *b = m->V + j * stride + n * TOGETHER;
-      v4 one = load(out), other = load(out + 4);
-      for (long k = 0; k < length && k <= n; k++, b -= TOGETHER) {
-        one += spread(a[k]) * load(b);
-        other += spread(a[k]) * load(b + 4);
-      }
-      store(out, one), store(out + 4, other);
+      v4 sums[2];
+      for (int v = 0; v < vectors; v++) sums[v] = load(out + 4 * v);
+      for (long k = 0; k < length && k <= n; k++, b -= TOGETHER)
+        for (int v = 0; v < vectors; v++) sums[v] += spread(a[k]) * load(b + 4 * v);
+      for (int v = 0; v < vectors; v++) store(out + 4 * v, sums[v]);
     }
     for (long i = 0; i < m->dim; i++)
-      for (long c = 0; c < TOGETHER; c += 4)
-        store(m->V + i * stride + (n + 1) * TOGETHER + c, load(m->rates + i * TOGETHER + c) / (double)(n + 1));
+      for (int v = 0; v < vectors; v++)
+        store(m->V + i * stride + (n + 1) * TOGETHER + 4 * v, load(m->rates + i * TOGETHER + 4 * v) / (double)(n + 1));
   }
   for (long i = 0; i < m->dim; i++)
-    for (long c = 0; c < TOGETHER; c += 4) {
-      double *own = m->V + i * stride + c;
+    for (int v = 0; v < vectors; v++) {
+      double *own = m->V + i * stride + 4 * v;
       v4 total = load(own + (orders - 1) * TOGETHER);
       for (long n = orders - 2; n >= 0; n--) total += load(own + n * TOGETHER);
       store(own, total);
     }
+}
+
+static void move(const motion_of_tangents *m, long first, long orders) {
+  if (m->columns - first > 4) move_columns(m, first, orders, 2);
+  else move_columns(m, first, orders, 1);
 }
 
 EXPORTED int64_t hamsym_tangents(const double *rows, const entry *entries, const double *signs, int64_t count,

@@ -39,13 +39,28 @@ def coupled_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.nd
     >>> coupled_sizes(np.array([2.0, 0.0]), np.array([[0.0, 1.0], [9.0, 0.0]]), 100.0)
     array([2., 6.])
     """
+    return shared_sizes(sizes, coupling_shares(coupling, time))
+
+
+def coupling_shares(coupling: np.ndarray, time: float) -> np.ndarray:
+    """Compute tau |A| of :func:`coupled_sizes`, zero where a coupling is not finite.
+
+    - coupling, time: As of :func:`coupled_sizes`.
+    """
     if not np.isfinite(coupling).all():
-        return sizes
+        return np.zeros_like(coupling)
     radius = float(np.abs(np.linalg.eigvals(coupling)).max(initial=0.0))
     tau = min(time, 1 / radius) if radius > 0 else time
+    return np.asarray(tau * coupling)
+
+
+def shared_sizes(sizes: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """Compute the sizes of :func:`coupled_sizes` from its tau |A|."""
     found = sizes
-    for _ in range(len(sizes)):
-        found = np.maximum(found, tau * coupling @ found)
+    for _ in range(len(sizes) if shares.any() else 0):
+        before, found = found, np.maximum(found, shares @ found)
+        if (found == before).all():
+            break
     return found
 
 

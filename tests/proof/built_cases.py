@@ -44,6 +44,7 @@ SOURCES = (
     "balls.c",
     "series.c",
     "enclosures.c",
+    "flow.c",
     "tangents.c",
     "sets.c",
     "followed.c",
@@ -262,9 +263,11 @@ def _norm(L: Any, jacobian: np.ndarray, entries: Any, units: np.ndarray) -> Frac
     dim, terms = len(units), jacobian.shape[1]
     none, V = np.zeros(dim), np.zeros((dim, dim, terms))
     count = len(jacobian)
+    length, signed = np.full(count, terms, dtype=np.int64), (np.array(entries), np.ones(count))
+    sizes = np.zeros((dim, dim))
+    flow = L.flow_defects(jacobian, length, *signed, V, sizes, 1.0)
     found = L.transport(
-        *(jacobian, np.zeros(count), np.full(count, terms, dtype=np.int64)),
-        *(np.array(entries), np.ones(count), none, none, V, none, 1.0, units, dim),
+        *(jacobian, np.zeros(count), length, *signed, none, none, sizes, *flow, none, 1.0, units)
     )
     return Fraction(found[3])
 
@@ -367,7 +370,8 @@ PROVEN = {
     "REST_ERROR_FUNCTION": "the term at which a series ends, whose size is the bound",
     "TUBES": "attempts",
     "SWEEPS": "of guesses",
-    "TOGETHER": "of guesses",
+    "TOGETHER": "order of computation",
+    "TILE": "order of computation",
     "ENOUGH": "of guesses",
     "AROUND": "with APART, the roundings of a half length before SECOND_ORDER",
     "APART": "with AROUND, and of a difference before SECOND_ORDER",

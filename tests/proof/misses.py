@@ -554,19 +554,15 @@ def transport_bounds(L: Any, case: Transport) -> Any:
     jacobian = np.zeros((len(places), TERMS))
     jacobian[:, 0] = [2 * case.A[i, j] for i, j in places]
     jacobian[:, 1] = case.slope * jacobian[:, 0]
+    length = np.full(len(places), 2, dtype=np.int64)
+    entries = np.array([(i, j, k) for k, (i, j) in enumerate(places)], dtype=np.int64)
+    signed = entries, np.ones(len(places))
+    half, sizes = 0.5, np.abs(V).sum(axis=2) * (1 + 1e-12)  # half the length: A = 0.5 G
     return L.transport(
-        jacobian,
-        np.full(len(places), 2 * case.loose),
-        np.full(len(places), 2, dtype=np.int64),
-        np.array([(i, j, k) for k, (i, j) in enumerate(places)], dtype=np.int64),
-        np.ones(len(places)),
-        case.start,
-        np.abs(V).sum(axis=2) @ case.start * (1 + 1e-12),
-        V,
-        case.D,
-        0.5,  # half the length: A = 0.5 G
-        np.array(case.units),
-        dim,
+        *(jacobian, np.full(len(places), 2 * case.loose), length, *signed),
+        *(case.start, sizes @ case.start, sizes),
+        *L.flow_defects(jacobian, length, *signed, V, sizes, half),
+        *(case.D, half, np.array(case.units)),
     )
 
 

@@ -300,38 +300,38 @@ MUTATIONS: dict[str, Mutation] = {
     # windows
     "defect of y": Mutation("sizes[i] = up(error + total)", "sizes[i] = up(error)", poor_defects),
     "defect of V": Mutation(
-        "error += fabs(value);\n    }\n    defect[own]",
-        "}\n    defect[own]",
+        "error[c] < INFINITY ? up(error[c])",
+        "error[c] < INFINITY ? up(2 * errors[c])",
         step(CASES["defect of V"]),
     ),
     "defect of V beside its derivative": Mutation(
-        "s->units[i] * most + defect[i * columns + c]", "s->units[i] * most", step(_RIPPLED)
+        "s->units[i] * most + s->defect[i * columns + c]", "s->units[i] * most", step(_RIPPLED)
     ),
     "defect of V beside d": Mutation(
         "d[i] = up(d[i] + hidden[i])", "d[i] = up(d[i])", step(_RIPPLED)
     ),
     "defect of V in its derivative": Mutation(
-        "+= large[e] * defect[s->entries[e].j * columns + c]", "+= 0.0", step(CASES["defect of V"])
+        " + large[e] * s->defect[j * columns + c]", "", step(CASES["defect of V"])
     ),
     "defect of V in the rest": Mutation(
         "large[e] * (s->D[j] + hidden[j])", "large[e] * s->D[j]", step(CASES["defect of V"])
     ),
     "radius of A in the derivative": Mutation(
-        "loose[i * columns + c] += loosely[e] * other;",
-        ";",
+        "loosely[e] * s->sizes[j * columns + c] + ",
+        "",
         step(CASES["matrix in a tube"]),
     ),
     "radius of A in the rest": Mutation(
         " + loosely[e] * (s->hull[j] + UNDERFLOW_ERROR)", "", step(CASES["matrix in a tube"])
     ),
     "radius of A by a parameter in the derivative": Mutation(
-        "loose[i * columns + j] += loosely[e];", ";", step(_UNKNOWN)
+        "own[j] += loosely[e];", ";", step(_UNKNOWN)
     ),
     "radius of A by a parameter in the rest": Mutation(
         "reach[i] += loosely[e] * s->start[j]", "(void)0", step(_UNKNOWN)
     ),
     "terms of A by a parameter": Mutation(
-        "own[k * columns + j] += p;",
+        "*own += p;",
         ";",
         step(CASES["parameter without its column"]),
     ),
@@ -353,7 +353,7 @@ MUTATIONS: dict[str, Mutation] = {
         "s->jacobian_radius[e] * (ratio + UNDERFLOW_ERROR)", "0.0", step(_IN_A_TUBE)
     ),
     "start of V": Mutation(
-        "start_error[own] = up(", "start_error[own] = 0.0 * up(", step(CASES["start error"])
+        "start_error[c] = up(", "start_error[c] = 0.0 * up(", step(CASES["start error"])
     ),
     "lengths of start and rest": Mutation(
         f"double bound = up(growth * (length_in(begun, {_IN}) + 2 * length_in(reach, {_IN})));",

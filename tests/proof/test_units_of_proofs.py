@@ -9,6 +9,7 @@ import pytest
 import sympy
 
 import hamsym
+from hamsym.numerics.scales import coupling_shares
 from hamsym.proof.windows.guessed_windows import sizes_of_all
 
 
@@ -134,7 +135,9 @@ def test_constants_have_the_units_of_what_they_move():
 def test_sizes_that_underflow_are_still_positive():
     """x moves p = 1e-150 by its own size from 1e-350 on."""
     for coupling in (1e200, math.inf):
-        found = sizes_of_all(np.array([0.0, 1e-150]), np.array([[0.0, 0.0], [coupling, 0.0]]), 1.0)
+        couplings = np.array([[0.0, 0.0], [coupling, 0.0]])
+        shares = coupling_shares(couplings, 1.0)
+        found = sizes_of_all(np.array([0.0, 1e-150]), couplings, shares, 1.0)
         assert (found > 0).all()
 
 

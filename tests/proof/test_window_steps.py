@@ -137,20 +137,12 @@ def test_logarithmic_norm_covers_ratios_of_units_that_underflow(L):
     units, none = np.array([1e155, 1e-170]), np.zeros(2)
     V = np.zeros((2, 2, 4))
     V[:, :, 0] = np.eye(2)
-    norm = L.transport(
-        np.array([[1e304, 0.0, 0.0, 0.0]]),
-        np.zeros(1),
-        np.ones(1, dtype=np.int64),
-        np.array([[0, 1, 0]]),
-        np.ones(1),
-        none,
-        none,
-        V,
-        none,
-        1.0,
-        units,
-        2,
-    )[3]
+    given = np.array([[1e304, 0.0, 0.0, 0.0]]), np.ones(1, dtype=np.int64)
+    signed = np.array([[0, 1, 0]]), np.ones(1)
+    sizes = np.abs(V).sum(axis=2)
+    flow = L.flow_defects(*given, *signed, V, sizes, 1.0)
+    models = given[0], np.zeros(1), given[1]
+    norm = L.transport(*models, *signed, none, none, sizes, *flow, none, 1.0, units)[3]
     exact = Fraction(1e304) * Fraction(units[1]) / Fraction(units[0]) / 2
     assert exact <= Fraction(norm) <= Fraction(1e-10)
 

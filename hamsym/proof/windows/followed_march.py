@@ -15,8 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hamsym.kernel.enclosures import MarchProof, Models, Prepared, enclosures
+from hamsym.kernel.enclosures import Models, enclosures
+from hamsym.kernel.followed import MarchProof, Prepared
 from hamsym.numerics.collocation import chebyshev_tables, chebyshev_values
+from hamsym.numerics.scales import coupling_shares
 from hamsym.proof.arithmetic.programs import ModelRows, Program
 from hamsym.proof.windows.equation import Equation
 from hamsym.proof.windows.guessed_windows import sizes_of_all
@@ -78,7 +80,9 @@ def follow(equation: Equation, trial: FeatureTrial, count: int) -> Iterator[Foll
         done = enclosures().follow(proof, first, last, apart, radius)
         if not (first or done or proof["sizes"].all()):
             half = abs(float(trial.edges[1] - trial.edges[0])) / 2
-            proof["sizes"][:] = sizes_of_all(proof["sizes"], proof["couplings"], half)
+            couplings = proof["couplings"]
+            shares = coupling_shares(couplings, half)
+            proof["sizes"][:] = sizes_of_all(proof["sizes"], couplings, shares, half)
             done = enclosures().follow(proof, first, last, apart, radius)
         yield Followed(first + done, apart[:done], radius[:done])
         if done < last - first:

@@ -16,7 +16,7 @@ import numpy as np
 
 from hamsym.kernel.enclosures import enclosures
 from hamsym.numerics.collocation import chebyshev_tables
-from hamsym.numerics.scales import coupled_sizes
+from hamsym.numerics.scales import coupling_shares, shared_sizes
 from hamsym.proof.arithmetic.directed import UNIT, two_sum
 from hamsym.proof.arithmetic.programs import ModelRows
 from hamsym.proof.windows.window_lemma import TooLongError, WindowLemma
@@ -99,11 +99,13 @@ class WindowGuess:
         # What the others drive a component to; its round-off has that scale if it is nearly zero.
         couplings = self._couplings()
         driven = w * enclosures().product(couplings, sizes)
+        np.fill_diagonal(couplings, 0.0)
+        shares = coupling_shares(couplings, w)
         tail, factor = self._decay(y, np.maximum(sizes, 0.02 * driven))
         if not tail <= 30 * self._accuracy:
             raise TooLongError(min(max(0.9 * factor, 0.25), 0.8))
         sizes = np.maximum(self.sizes, np.maximum(sizes, 1e-8 * driven))
-        units = self._units(w, couplings, sizes, radii)
+        units = self._units(w, couplings, shares, sizes, radii)
         self._complete(w, y, units)
         D = lemma.D
         if not np.isfinite(D).all():
@@ -113,7 +115,7 @@ class WindowGuess:
         # Roundings of a component at rest may have a size, as those of sin(x) at 0: the 2-norm has
         # to compare them with those of the others.
         least = D / (_LOOSE * max(self._accuracy, _FINEST))
-        units = self._units(w, couplings, sizes, radii, least)
+        units = self._units(w, couplings, shares, sizes, radii, least)
         given = self._equation.columns, self._tables.steps, self._tables.series
         V = enclosures().tangents(*self._linear, *given, w, units, UNIT)
         return Guess(V, units, factor)
@@ -233,6 +235,7 @@ class WindowGuess:
         self,
         w: float,
         couplings: np.ndarray,
+        shares: np.ndarray,
         sizes: np.ndarray,
         radii: np.ndarray,
         least: np.ndarray | float = 0.0,
@@ -242,15 +245,14 @@ class WindowGuess:
         ``sizes`` are those of the components on the windows so far, ``radii`` those of the initial
         set, and ``least`` the smallest to be balanced.
         """
-        dim, matrix = self._equation.dim, couplings.copy()
-        np.fill_diagonal(matrix, 0.0)
+        dim = self._equation.dim
         # A ball around zero gives a component its size: more than the radius, because roundings of
         # its shares in the unit are errors of the others, too. Errors of windows give none: they
         # are small in units of the component, which would be theirs.
         sizes = np.where(sizes < radii, _BESIDE * radii, sizes)
-        safe = np.maximum(sizes_of_all(sizes, matrix, w), least)
-        safe = coupled_sizes(safe, matrix, w)
-        matrix += 1e-3 / w * safe[:, None] / safe[None, :] * (1 - np.eye(dim))
+        safe = np.maximum(sizes_of_all(sizes, couplings, shares, w), least)
+        safe = shared_sizes(safe, shares)
+        matrix = couplings + 1e-3 / w * safe[:, None] / safe[None, :] * (1 - np.eye(dim))
         units = safe.copy()
         enclosures().balance(matrix, units)
         return powers_of_two(units)
@@ -281,15 +283,19 @@ def shortened(factor: float) -> float:
     return math.ldexp(round(mantissa * 2**16), exponent - 16)
 
 
-def sizes_of_all(sizes: np.ndarray, couplings: np.ndarray, w: float) -> np.ndarray:
+def sizes_of_all(
+    sizes: np.ndarray, couplings: np.ndarray, shares: np.ndarray, w: float
+) -> np.ndarray:
     """Sizes of all components, positive also for those that are at rest.
 
     Such a component has the size that the others drive it to, or else that which would move
     another one by its own size within w. Without such couplings, the product of a coordinate and
     its momentum is compared with those of the others: all have the dimension of H times time.
     Components are never compared otherwise, because they may have different dimensions.
+
+    - shares: Those of the couplings within w.
     """
-    found = coupled_sizes(np.where(sizes > AT_REST, sizes, 0.0), couplings, w)
+    found = shared_sizes(np.where(sizes > AT_REST, sizes, 0.0), shares)
     half = len(found) // 2
     action = float((np.sqrt(found[:half]) * np.sqrt(found[half:])).max())  # its root
     while (at_rest := found == 0).any():
@@ -300,18 +306,20 @@ def sizes_of_all(sizes: np.ndarray, couplings: np.ndarray, w: float) -> np.ndarr
             found[chosen] = np.maximum(moving[chosen], math.ulp(0.0))  # it may underflow
         else:  # nothing moves it, and it moves nothing
             i = int(np.flatnonzero(at_rest)[0])
-            found[i] = _size_beside(i, couplings, w, _UNCOUPLED * action or _LEAST)
-        found = coupled_sizes(found, couplings, w)
+            found[i] = _size_beside(i, couplings, shares, w, _UNCOUPLED * action or _LEAST)
+        found = shared_sizes(found, shares)
     return found
 
 
-def _size_beside(i: int, couplings: np.ndarray, w: float, action: float) -> float:
+def _size_beside(
+    i: int, couplings: np.ndarray, shares: np.ndarray, w: float, action: float
+) -> float:
     """The size of a component whose product with its partner is the square of ``action``."""
     dim = len(couplings)
     partner = (i + dim // 2) % dim
     alone = np.zeros(dim)
     alone[i] = 1.0
-    ratio = float(coupled_sizes(alone, couplings, w)[partner])
+    ratio = float(shared_sizes(alone, shares)[partner])
     if ratio == 0:
         ratio = float(1 / (w * couplings[i, partner]))
     found = action / math.sqrt(ratio) if ratio > 0 else math.inf

@@ -57,6 +57,8 @@ class Bounds:
     d: np.ndarray
     #: On |V_d - K|, shape (dim, columns).
     derivative: np.ndarray
+    #: On |V|, shape (dim, columns).
+    sizes: np.ndarray
 
 
 class WindowLemma:
@@ -141,9 +143,8 @@ class WindowLemma:
         xi[: len(offset)] += offset
         return Start(offset, up(xi))
 
-    def _hull(self, V: np.ndarray, start: Start, thin: bool) -> np.ndarray:
+    def _hull(self, V: np.ndarray, sizes: np.ndarray, start: Start, thin: bool) -> np.ndarray:
         """Bounds on |V xi| over the window, shape (dim,); of thin sets without their shape."""
-        sizes = np.abs(V).sum(axis=2)
         if thin:
             return np.asarray(up(enclosures().product(sizes, start.xi)))
         beside = enclosures().product(sizes[:, : len(start.offset)], start.offset)
@@ -160,16 +161,23 @@ class WindowLemma:
         - thin: Whether the shape of the set does not matter; otherwise what is found in a wide
           tube is proven once more in a narrower one.
         """
-        hull, half = self._hull(V, start, thin), nearest_up(self.place.w)
-        equation, accepted = self.equation, None
-        signed = equation.entries, self.signs
-        given = *signed, start.xi, hull, V, self.D, half, units, equation.dim
+        sizes, half = enclosures().norms(V), nearest_up(self.place.w)
+        hull, signed = self._hull(V, sizes, start, thin), (self.equation.entries, self.signs)
+        equation, accepted, before = self.equation, None, (np.empty(0), np.empty(0))
         tube = 1.5 * (hull + 2 * self.D) + least
         for _ in range(_TUBES):
             series, radius, length = self._jacobian_over(tube)
-            found, d, derivative, _ = enclosures().transport(series, radius, length, *given)
+            if not all(map(np.array_equal, before, (series, length))):
+                flow = enclosures().flow_defects(series, length, *signed, V, sizes, half)
+                before = series, length
+            found, d, derivative, _ = enclosures().transport(
+                *(series, radius, length, *signed, start.xi, hull, sizes),
+                *(*flow, self.D),
+                half,
+                units,
+            )
             if (found < tube).all():
-                accepted = Bounds(found, d, derivative)
+                accepted = Bounds(found, d, derivative, sizes)
                 if thin or (tube < 1.1 * found).all():
                     break
                 tube = 1.02 * found
@@ -216,8 +224,7 @@ class WindowLemma:
         units = powers_of_two(units)
         dim, columns = self.equation.dim, self.equation.columns
         high, low = self.y
-        large = np.abs(V[:, :dim]).sum(axis=2)
-        beside = up(enclosures().product(large, start.offset) + found.d + self.D)
+        beside = up(enclosures().product(found.sizes[:, :dim], start.offset) + found.d + self.D)
         J, J_error, extra = np.eye(columns), np.zeros((columns, columns)), np.zeros(columns)
         J[:dim], rest, radius = enclosures().end_values(V, None, 1)
         J_error[:dim] = up(np.abs(rest) + radius)

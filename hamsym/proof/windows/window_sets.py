@@ -40,11 +40,9 @@ def powers_of_two(units: np.ndarray) -> np.ndarray:
 
 def set_sizes(V: np.ndarray, G: np.ndarray, R: np.ndarray) -> np.ndarray:
     """Bounds on the components of V(x) G r over a window for all |r_i| <= R_i, shape (dim,)."""
-    product = enclosures().product
-    moved = product(G.T, V.transpose(1, 0, 2))
-    found = product(R, np.abs(moved).sum(axis=2))
+    product, found = enclosures().product, enclosures().moved_sizes(V, G, R)
     rounding = 2 * (len(G) + 8) * UNIT  # of sums of so many products
-    large = product(np.abs(V).sum(axis=2), product(np.abs(G), R))
+    large = product(enclosures().norms(V), product(np.abs(G), R))
     found += rounding * large + UNDERFLOW * (1 + R.sum())
     return np.asarray(up(found))
 
