@@ -4,8 +4,7 @@
 #define COHERENT 2.0    /* times the round-off of independent places */
 #define RESOLVED 1e-3   /* residual, relative to the rates, that a smooth force leaves at most */
 #define LARGEST 1.0     /* error, in units of the motion, beyond which there is no estimate */
-#define TESTED 1e-6     /* error, in units of the motion, from which the linear equation is tested */
-#define CURVED 1e-3     /* of the error in a window: change by what the linear equation lacks, at most */
+#define CURVED 1e-3     /* of the error in a window: round-off of the terms beyond the linear one, at most */
 #define PASSING 10.0    /* typical errors: larger ones may pass, so their vectors are solved more accurately */
 /* Times a peak between two of the values that show it; and of the integral of the residual, which oscillates as fast
    as these values show, a share more. */
@@ -28,8 +27,8 @@ void lay_out_errors(carrying *m, arena *arena, const equations *H, const error_t
   m->readout = take(arena, dim * t->columns);
   m->curvature = take(arena, H->hessian->results * places + 1);
   double **of_places[] = {&m->z, &m->dz, &m->low, &m->rates, &m->disturbed, &m->pushed, &m->drift_inside, &m->found,
-                          &m->coefficients, &m->shown};
-  for (int k = 0; k < 10; k++) *of_places[k] = take(arena, dim * places);
+                          &m->coefficients, &m->shown, &m->bent};
+  for (int k = 0; k < 11; k++) *of_places[k] = take(arena, dim * places);
   m->times = take(arena, places);
   m->late = take(arena, places);
   double **of_nodes[] = {&m->at_nodes, &m->drift, &m->smooth};
@@ -301,19 +300,20 @@ static void push(carrying *m, const equations *H, const error_tables *t, const a
   apply_at_places(m, t, a, H->dim, m->drift_inside, m->pushed);
 }
 
-/* Whether what the linear equation lacks changes an error of this size by little. */
-static int is_linear(carrying *m, const equations *H, const error_tables *t, const actions *a, const error_settings *s,
-                     double length, double size) {
+/* Write by how much the terms of the equation of the error beyond the linear one, at the error found last, differ from
+   those that are in the residual, to m->disturbed. Returns by how much that changes the error, in units of the scale. */
+static double beyond(carrying *m, const equations *H, const error_tables *t, const actions *a, const error_settings *s,
+                     double length) {
   long dim = H->dim, places = t->places;
   for (long c = 0; c < dim * places; c++) m->low[c] = m->z[c] + m->found[c];
   evaluate(&m->velocity, &m->force, m->low, m->times, places, m->disturbed);
   apply_at_places(m, t, a, dim, m->found, m->low);
-  for (long c = 0; c < dim * places; c++) m->disturbed[c] -= m->rates[c] + m->low[c];
+  for (long c = 0; c < dim * places; c++) m->disturbed[c] -= m->rates[c] + m->low[c] + m->bent[c];
   products(t->drift, places, places, m->disturbed, dim, m->shown);
-  int linear = 1;
+  double change = 0.0;
   for (long i = 0; i < dim; i++)
-    linear = linear && length * row_size(m->shown + i * places, places) <= CURVED * size * s->scale[i];
-  return linear;
+    change = larger(length * row_size(m->shown + i * places, places) / s->scale[i], change);
+  return change;
 }
 
 /* Write the error inside a window to m->found; return its size in units of the scale. */
@@ -327,6 +327,19 @@ static double find_error(carrying *m, const equations *H, const error_tables *t,
   double size = 0.0;
   for (long i = 0; i < dim; i++) size = larger(row_size(m->found + i * count, count) / s->scale[i], size);
   return size;
+}
+
+/* Solve the equation of the error in window k by the coarse nodes, where these resolve it, or else by the fine ones.
+   Returns the rule whose nodes have the vectors, null if there is no solution. */
+static const rule *solve_window(carrying *m, const equations *H, const error_tables *t, const actions *a,
+                                const error_settings *s, const windows *w, const double *joint, long k,
+                                double accuracy, long *coarse_from) {
+  push(m, H, t, a);
+  if (k >= *coarse_from) {
+    if (solve_at(m, H, t->coarse, t, a, s, w, joint, k, accuracy, 1)) return t->coarse;
+    *coarse_from = k + 1 + KEPT;
+  }
+  return solve_at(m, H, t->fine, t, a, s, w, joint, k, accuracy, 0) ? t->fine : 0;
 }
 
 /* Add the error inside window k and the round-off to the results. Returns whether it is finite. */
@@ -363,6 +376,7 @@ int carry_errors(carrying *m, const equations *H, const error_tables *t, const a
                  const windows *w, const double *jumps, error_results *r, long *first, long end) {
   long dim = H->dim, rows = dim * m->each, coarse_from = *first;
   double *joint = r->joint;
+  int bent = 0; /* whether the linear equation alone is solved from here on */
   set_parameters(&m->velocity, s->parameters, m->stride);
   set_parameters(&m->force, s->parameters, m->stride);
   set_parameters(&m->hessian, s->parameters, m->stride);
@@ -377,23 +391,35 @@ int carry_errors(carrying *m, const equations *H, const error_tables *t, const a
     r->mark[k] = residual(m, H, t, s, w, k, h, end > FEW);
     memcpy(m->before, joint, rows * sizeof(double));
     disturb_vectors(m, H, t, s, w, joint, k, length);
-    push(m, H, t, a);
-    /* The mean root is the typical size of the error, also if it has short peaks beside a pole. */
+    /* The mean root is the typical size of the error, also if it has short peaks beside a pole. What is left of an
+       inaccuracy behind a peak grows with the forces there, so that a peak counts twice. */
     double mean = r->history[0] / greater(fabs(w->edge[k] - w->edge[0]), TINY), typical = PASSING * mean * mean;
-    double accuracy = s->accuracy * (typical < r->history[1] ? typical / r->history[1] : 1.0);
-    const rule *rule = k < coarse_from ? t->fine : t->coarse;
-    if (rule == t->coarse && !solve_at(m, H, rule, t, a, s, w, joint, k, accuracy, 1)) {
-      rule = t->fine;
+    double share = typical < r->history[1] ? typical / r->history[1] : 1.0, accuracy = s->accuracy * share * share;
+    double size, last = INFINITY;
+    const rule *rule;
+    fill(m->bent, 0.0, dim * t->places);
+    for (;;) {
+      rule = solve_window(m, H, t, a, s, w, joint, k, accuracy, &coarse_from);
+      if (!rule) {
+        memcpy(joint, m->before, rows * sizeof(double));
+        return STUCK;
+      }
+      size = find_error(m, H, t, rule, s, h);
+      if (bent || size <= accuracy) break;
+      double change = beyond(m, H, t, a, s, length);
+      if (change <= accuracy * size || (!(change < last / 2) && change <= CURVED * size)) break;
+      bent = !(change < last / 2);
+      if (bent) r->mark[k] |= BENT;
       coarse_from = k + 1 + KEPT;
+      for (long c = 0; c < dim * t->places; c++) {
+        double added = bent ? -m->bent[c] : m->disturbed[c];
+        m->bent[c] += added;
+        m->dz[c] -= added;
+      }
+      last = change;
     }
-    if (rule == t->fine && !solve_at(m, H, rule, t, a, s, w, joint, k, accuracy, 0)) {
-      memcpy(joint, m->before, rows * sizeof(double));
-      return STUCK;
-    }
-    double size = find_error(m, H, t, rule, s, h);
     r->history[0] += length * __builtin_sqrt(size);
     r->history[1] = size;
-    if (!(size <= TESTED) && !is_linear(m, H, t, a, s, length, size)) r->mark[k] |= BENT;
     for (long row = 0; row < rows; row++)
       joint[row] += h * dot(m->moved + row * rule->nodes, rule->end, rule->nodes);
     for (long i = 0; i < dim; i++) {

@@ -7,8 +7,9 @@
    and vector, a window is a fixed point V = V_a - h S A D + h S A V, with A = J Hess; it is iterated by halves,
    as the states were. Where the vectors are not resolved by the coarse nodes, the fine ones take their place.
 
-   An error e obeys e' = F(z^ + e) - F(z^) - r, of which that equation is the linear part. It is valid as long
-   as what it lacks, F(z^ + e) - F(z^) - A e, changes e by little. */
+   An error e obeys e' = F(z^ + e) - F(z^) - r, of which that equation is the linear part. Where e is not small,
+   what it lacks, F(z^ + e) - F(z^) - A e, is computed at the last e and added to -r, until that changes e by
+   little. */
 
 #ifndef HAMSYM_ERRORS_H
 #define HAMSYM_ERRORS_H
@@ -78,7 +79,7 @@ typedef struct {
   term *terms;           /* in units of the scale */
   v4 *changes;
   double *readout, *times, *late, *z, *dz, *low, *rates, *disturbed, *pushed, *at_nodes, *node_times, *drift;
-  double *smooth, *drift_inside, *found, *coefficients, *shown, *second, *curvature;
+  double *smooth, *drift_inside, *found, *coefficients, *shown, *bent, *second, *curvature;
   double *base, *drifted, *vectors, *moved, *last, *before, *weight, *speeds, *tops;
 } carrying;
 

@@ -26,7 +26,7 @@ typedef struct {
   /* Of the local tolerance from one march to the next: share of the allowed error at which it aims, and limits of
      the step; below the smallest one residuals are round-off. */
   double margin, least_step, most_step, smallest;
-  double tighter;           /* excess that errors beyond the linear equation count as, at least */
+  double tighter;           /* excess that marked windows count as, at least */
   double accuracy, fewest;  /* of the vectors of the error after all windows, and the least number of these */
 } shared;
 
@@ -194,10 +194,10 @@ EXPORTED int64_t hamsym_members(const shared *all, const span *span, const doubl
       }
       int marked = 0;
       for (long k = 0; k < count; k++) marked |= er.mark[k];
-      if (marked & BENT) excess = larger(all->tighter, excess);
+      if (marked) excess = larger(all->tighter, excess);
       if (excess <= 1.0) {
-        int good = !marked;
-        if (good && H->energy) {
+        int good = 1;
+        if (H->energy) {
           set_parameters(&energy, values, 8);
           good = keeps_energy(&energy, &m, H, &w, count, s.tolerance, size);
         }

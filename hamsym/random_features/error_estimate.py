@@ -1,9 +1,10 @@
 """Error estimate of a march: truncation and round-off, to the limits of float64.
 
 The error delta = z - z^ obeys delta' = J Hess(z^) delta - r(t) with r the residual (the paper's
-eq. ell), up to terms of second order. Inside a window r oscillates about as often as there are
-columns in the basis, so it is sampled at half as many nodes again as the solution used. The
-equation is solved window by window (:func:`hamsym.kernel.loops.carry_errors`),
+eq. ell), up to terms of second order. Where these matter, they are computed from the error that was
+found and added to the residual, until they change by little. Inside a window r oscillates about as
+often as there are columns in the basis, so it is sampled at half as many nodes again as the
+solution used. The equation is solved window by window (:func:`hamsym.kernel.loops.carry_errors`),
 for delta plus the integral of r, which is smooth: half of the nodes resolve it, or else those of
 the solution do. The residual r contains only another sample of the round-off: random perturbations
 of its size are moved with the error, one batch at every joint. Its size is measured as the change
@@ -11,8 +12,8 @@ of F when the states change by half a unit in the last place. Numbers of H that 
 represent, for example pi, push every window the same way; a perturbation in the direction of the
 motion represents them.
 
-The estimate is infinite from the time at which the errors are so large that their equation is not
-linear, or J Hess is not finite.
+The estimate is infinite from the time at which the errors are as large as the motion or these terms
+do not settle, or J Hess is not finite.
 """
 
 from __future__ import annotations
@@ -49,7 +50,9 @@ _LOOSE_TOLERANCE = 1e-8  # local
 #: that it may have as they show them: with the same chance. The small basis is far from round-off.
 _PERTURBATIONS = {16: (2, 5.0), 24: (4, 3.0)}
 _PERIOD = 509  # windows after which the signs of the perturbations repeat
-ACCURACY, FEWEST = 3e-3, 10.0  # of the vectors after all windows, and the least number of these
+# Of the vectors after all windows, and the least number of these. What is left at the peak of a
+# close passage remains, when the errors shrink again by orders of magnitude.
+ACCURACY, FEWEST = 1e-4, 10.0
 _SCALE_SAMPLES = 256  # windows at which the coupling of the components is averaged
 
 
@@ -117,6 +120,7 @@ def estimate_error(
         parameters=flow.parameters,
         residual=residuals,
     )
+    joint = np.zeros((dim, tables.perturbations + 2))
     series = np.full((count, tables.places, dim), np.inf)
     floors, largest = np.full((count, dim), np.inf), np.zeros(dim)
     marks = np.zeros(count, dtype=np.int64)
@@ -128,7 +132,7 @@ def estimate_error(
         loops.Windows(windows.edges, windows.states, windows.readouts),
         basis.tables,
         loops.ErrorResults(
-            joint=np.zeros(dim * (tables.perturbations + 2)),
+            joint=joint,
             history=np.zeros(2),
             series=series,
             floor=floors,
@@ -137,18 +141,19 @@ def estimate_error(
         ),
     )
     limit, linear = "", largest
-    bent = np.flatnonzero(marks[:first] & loops.BENT)
-    # Of round-off, what follows shows how far it grows; of the error of the march it shows nothing.
-    by_march = len(bent) and (np.abs(series[bent[0]]).sum(axis=0) > floors[bent[0]]).all()
+    end = [*np.flatnonzero(marks[:first] & loops.BENT), first][0]  # window without an estimate
+    if end < first:
+        # Of round-off, what follows shows how far it grows; of the error of the march, nothing.
+        by_march = (np.abs(series[end]).sum(axis=0) > floors[end]).all()
+    else:
+        by_march = outcome == loops.LOST and abs(joint[:, 0]).max() > abs(joint[:, 1:]).max()
     if outcome != loops.DONE and not by_march:
         limit = _reason(windows, flow, first)
         linear = np.full(dim, np.inf)
-    elif len(bent):
-        start = float(windows.origin + windows.edges[bent[0]])
-        shown = shown_time(start, *windows.ends)
-        limit = f"errors grow too large for an estimate by t = {shown}"
-    if len(bent):
-        series[bent[0] :] = floors[bent[0] :] = np.inf
+    elif end < count:
+        start = float(windows.origin + windows.edges[end])
+        limit = f"errors grow too large for an estimate by t = {shown_time(start, *windows.ends)}"
+    series[end:] = floors[end:] = np.inf
     if limit:
         largest = np.full(dim, np.inf)
     ends = (windows.origin + windows.edges).tolist()

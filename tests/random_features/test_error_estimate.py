@@ -14,6 +14,7 @@ from hamsym import Hamiltonian
 from hamsym.formula.parser import parse_expression
 from hamsym.random_features.basis import FeatureBasis, feature_basis
 from hamsym.random_features.error_estimate import (
+    Estimate,
     MarchError,
     error_tables,
     estimate_error,
@@ -109,65 +110,102 @@ KEPLER = Hamiltonian("(px**2 + py**2)/2 - 1/sqrt(x**2 + y**2)")
 
 
 def _ellipse(e: float, start: float, end: float, turn: float) -> tuple[np.ndarray, np.ndarray]:
-    """Times and exact states of an orbit of semi-major axis 1 between two eccentric anomalies."""
-    anomaly = np.linspace(start, end, 20_001)
-    times = anomaly - e * np.sin(anomaly)
-    r, b = 1 - e * np.cos(anomaly), np.sqrt(1 - e**2)
+    """Times and exact states of an orbit of semi-major axis 1 between two eccentric anomalies.
+
+    The orbit is that of its rounded first state: beside the pole the difference is large.
+    """
+    exact = np.longdouble
+    q, p = _on_ellipse(e, np.array([start]), np.sqrt(1 - e**2), turn)
+    (x, y), (px, py) = q.ravel().astype(exact), p.ravel().astype(exact)
+    r, square, radial = np.hypot(x, y), px**2 + py**2, x * px + y * py
+    a = 1 / (2 / r - square)
+    pole = (square - 1 / r) * x - radial * px, (square - 1 / r) * y - radial * py
+    e = np.hypot(*pole)
+    first = np.arctan2(radial / np.sqrt(a), 1 - r / a)
+    anomaly = first + np.linspace(0, end - start, 20_001)
+    b = abs(x * py - y * px) / np.sqrt(a)
+    q, p = _on_ellipse(e, anomaly, b, np.arctan2(pole[1], pole[0]))
+    moments = a**1.5 * (anomaly - first - e * (np.sin(anomaly) - np.sin(first)))
+    q, p = a * q, p / np.sqrt(a)
+    times = moments.astype(float)
+    rates = np.concatenate((p, -q / np.hypot(*q) ** 3))
+    return times, (np.concatenate((q, p)) + rates * (times - moments)).T.astype(float)
+
+
+def _on_ellipse(e: Any, anomaly: np.ndarray, b: Any, turn: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates and momenta on an ellipse of semi-axes 1 and b."""
+    r = 1 - e * np.cos(anomaly)
     q = np.stack((np.cos(anomaly) - e, b * np.sin(anomaly)))
     p = np.stack((-np.sin(anomaly), b * np.cos(anomaly))) / r
     turned = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    return times - times[0], np.concatenate((turned @ q, turned @ p)).T
+    return turned @ q, turned @ p
 
 
 def _share_of_allowed(solution: Any, times: np.ndarray, exact: np.ndarray, tol: float) -> float:
     return float((np.abs(solution(times) - exact) / np.abs(exact).max(axis=0)).max() / tol)
 
 
-@pytest.mark.slow
 def test_error_is_followed_through_many_close_passages() -> None:
     """It grows by orders of magnitude and shrinks again in each of them."""
     times, exact = _ellipse(0.9965, 3.9, 3.9 + 28 * np.pi, 4.75)
-    for tol in (1e-2, 1e-3):
+    for tol in (1e-2, 1e-4):
         solution = hamsym.solve(KEPLER, exact[0], (0, times[-1]), tol=tol)
         assert solution.success, solution.message
         errors = np.abs(exact - solution(times)).max(axis=0)
         estimated = np.abs(solution.error_estimate(times)).max(axis=0)
-        np.testing.assert_allclose(estimated, errors, rtol=0.1)
+        np.testing.assert_allclose(estimated, errors, rtol=0.05)
 
 
-def test_success_on_eccentric_orbits_is_true() -> None:
-    generator, successes = np.random.default_rng(11), 0
-    tols = (1e-2, 1e-3, 1e-4)
-    for case in range(12):
+@pytest.mark.parametrize(
+    ("seed", "cases"),
+    [(11, 8), *(pytest.param(seed, 60, marks=pytest.mark.slow) for seed in (5, 6))],
+)
+def test_success_on_eccentric_orbits_is_true(seed: int, cases: int) -> None:
+    generator, successes = np.random.default_rng(seed), 0
+    for _ in range(cases):
+        e, tol = 1 - 10 ** generator.uniform(-4, -1.3), 10 ** generator.uniform(-6, -1.5)
         start, turn = generator.uniform(0, 2 * np.pi, 2)
-        e = 1 - 10 ** generator.uniform(-3, -1)
-        times, exact = _ellipse(e, start, start + generator.uniform(1, 12), turn)
-        tol = tols[case % 3]
+        times, exact = _ellipse(e, start, start + generator.uniform(1, 80), turn)
         solution = hamsym.solve(KEPLER, exact[0], (0, times[-1]), tol=tol)
         successes += solution.success
         if solution.success:
             assert _share_of_allowed(solution, times, exact, tol) <= 1, (e, start, turn, tol)
-    assert successes > case / 2
+            errors = np.abs(exact - solution(times)).max(axis=0)
+            assert (errors <= solution.error.largest).all(), (e, start, turn, tol)
+    assert successes > cases / 2
 
 
-@pytest.mark.parametrize(
-    ("eccentricity", "end", "local"), [(0.998, 10.0, 1e-3), (0.994, 9.0, 1e-3), (0.99, 9.0, 1e-8)]
-)
-def test_estimate_ends_where_its_equation_is_not_linear(
-    eccentricity: float, end: float, local: float
-) -> None:
-    """An error of the size of the distance from the pole changes the force beyond first order."""
-    times, exact = _ellipse(eccentricity, np.pi, 4 * np.pi, 0.0)
+def _estimated(eccentricity: float, end: float, local: float) -> tuple[Estimate, Any, Any]:
+    """Return the estimate of a march from the apocentre, with times and errors."""
+    times, exact = _ellipse(eccentricity, np.pi, 7 * np.pi, 0.0)
     times, exact = times[times < end], exact[times < end]
     flow, basis = flow_of(KEPLER), feature_basis(0, 16)
     with np.errstate(all="ignore"):
         windows = march(flow, exact[0], (0.0, end), local, basis, longest=end / 8)
         found = estimate_error(windows, basis, flow, local)
-    error = np.abs(FeatureTrial.of_march(windows, basis).states_at(times) - exact)
-    if local < 1e-6:
-        assert (error.max(axis=0) <= 1.01 * found.error.largest).all()
-        assert found.limit == ""
-        return
+    return found, times, np.abs(FeatureTrial.of_march(windows, basis).states_at(times) - exact)
+
+
+@pytest.mark.parametrize(
+    ("eccentricity", "local"),
+    [(0.9, 0.1), (0.994, 1e-3), (0.995, 3e-3), (0.998, 3e-4), (0.99, 1e-8)],
+)
+def test_errors_of_the_size_of_the_distance_are_followed(eccentricity: float, local: float) -> None:
+    """They change the force beyond first order, and are up to a third of the orbit here."""
+    found, _, error = _estimated(eccentricity, 9.0, local)
+    assert found.limit == ""
+    share = found.error.largest / error.max(axis=0)
+    assert (share >= 1).all()
+    assert (share <= 1.2).all()
+
+
+@pytest.mark.parametrize(
+    ("eccentricity", "end", "local"), [(0.998, 10.0, 1e-3), (0.98, 19.0, 1e-2), (0.994, 19.0, 1e-3)]
+)
+def test_estimate_ends_where_errors_are_as_large_as_the_motion(
+    eccentricity: float, end: float, local: float
+) -> None:
+    found, times, error = _estimated(eccentricity, end, local)
     assert "errors grow too large for an estimate" in found.limit
     assert np.isinf(found.error.largest).all()
     held = found.error.until(np.full(4, np.inf))
