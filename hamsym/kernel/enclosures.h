@@ -13,7 +13,7 @@
 
 #include "series.h"
 
-#define TOGETHER 8 /* columns that are computed together */
+#define TOGETHER 8 /* columns that are computed together, with bounds */
 
 /* An entry (i, j) of a matrix, in a row of numbers. */
 typedef struct { int64_t i, j, place; } entry;

@@ -47,6 +47,7 @@ typedef struct {
 /* y, and V with units, of a window, and room for what is computed of them. */
 typedef struct {
   double *high, *low, *V, *units, *series, *values, *models, *D, *tube;
+  double *squares; /* four of dim x dim */
 } window;
 
 /* Put the time into models; low parts become part of radii where models are not in twice float64. */
@@ -114,7 +115,7 @@ static void bound_defect(const march_proof *m, ball slope, const window *w) {
 static int guess(const march_proof *m, ball slope, const window *w) {
   const prepared *rates = m->rates, *jacobian = m->jacobian;
   long dim = m->dim, terms = rates->rows->terms, fewer = jacobian->rows->terms;
-  double half = fabs(slope.high), shares[dim * dim];
+  double half = fabs(slope.high), *shares = w->squares;
   for (long i = 0; i < dim; i++)
     apply_table(rates->rows->values, m->trial->high + i * m->trial->terms, terms, terms, rates->values + i * terms);
   if (hamsym_collocate(rates->step, rates->steps, rates->result, rates->values, terms, m->integral, m->centre, dim,
@@ -168,7 +169,7 @@ static int guess(const march_proof *m, ball slope, const window *w) {
 /* Move the set over a window, which adds errors. */
 static int move_set(march_proof *m, const window *w, const double *added) {
   long dim = m->dim, terms = m->jacobian->rows->terms, columns = m->columns, count = columns + dim;
-  double J[dim * dim], J_error[dim * dim], rest[dim];
+  double *J = w->squares, *J_error = J + dim * dim, rest[dim];
   for (long k = 0; k < dim * dim; k++) {
     ball end = end_value(w->V + k * terms, 0, terms, 1);
     J[k] = end.high;
@@ -200,7 +201,8 @@ static int prove_window(march_proof *m, ball slope, const window *w) {
   const prepared *jacobian = m->jacobian, *energy = m->energy;
   long dim = m->dim, terms = m->rates->rows->terms, fewer = jacobian->rows->terms, count = m->entries;
   double offset[dim], xi[dim], hull[dim], found[dim], d[dim], added[dim], norm;
-  double of_V[4][dim * dim], *sizes = of_V[0], *defect = of_V[1], *start_error = of_V[2], *derivative = of_V[3];
+  double *sizes = w->squares, *defect = sizes + dim * dim, *start_error = defect + dim * dim;
+  double *derivative = start_error + dim * dim;
   double *models = w->models, *radii = models + count * fewer, half = fabs(slope.high) * (1 + APART);
   int64_t lengths[count];
   for (long i = 0; i < dim; i++) {
@@ -276,11 +278,11 @@ EXPORTED int64_t hamsym_follow(march_proof *m, int64_t first, int64_t last, doub
   long dim = m->dim, terms = m->rates->rows->terms, fewer = m->jacobian->rows->terms, number = first, registers = dim;
   for (long e = 0; e < m->entries; e++) registers = m->placed[e].place >= registers ? m->placed[e].place + 1 : registers;
   long of_values = registers * fewer + 2 * dim * terms, of_models = dim * dim * fewer + m->entries * (fewer + 1);
-  double *memory = malloc((dim * (3 * terms + 4 + dim * fewer) + of_values + of_models) * sizeof *memory);
+  double *memory = malloc((dim * (3 * terms + 4 + dim * (fewer + 4)) + of_values + of_models) * sizeof *memory);
   if (!memory) return 0;
   window w = {.high = memory, .low = memory + dim * terms, .series = memory + 2 * dim * terms};
   w.D = w.series + dim * (terms + 1), w.tube = w.D + dim, w.units = w.tube + dim, w.V = w.units + dim;
-  w.values = w.V + dim * dim * fewer, w.models = w.values + of_values;
+  w.values = w.V + dim * dim * fewer, w.models = w.values + of_values, w.squares = w.models + of_models;
   for (; number < last; number++, apart += dim * terms, radius += dim) {
     double begin = m->edges[number], end = m->edges[number + 1];
     ball middle = add(ball_of(m->origin), scaled(add(ball_of(begin), ball_of(end)), 0.5));

@@ -372,6 +372,7 @@ PROVEN = {
     "SWEEPS": "of guesses",
     "TOGETHER": "order of computation",
     "TILE": "order of computation",
+    "MOST_VECTORS": "order of computation",
     "ENOUGH": "of guesses",
     "AROUND": "with APART, the roundings of a half length before SECOND_ORDER",
     "APART": "with AROUND, and of a difference before SECOND_ORDER",

@@ -19,6 +19,7 @@ from hamsym import Ball, Hamiltonian, enclose
 from hamsym.errors import CertificationError, InputError
 from hamsym.kernel.enclosures import enclosures
 from hamsym.proof.arithmetic.balls import working
+from hamsym.proof.windows.proven_windows import WindowStepper
 from tests.audit.taylor import Equations, integrate
 from tests.proof.misses import enclosure_misses
 
@@ -629,3 +630,18 @@ def test_derivatives_of_several_threads_are_those_of_one() -> None:
         for result in results:
             np.testing.assert_array_equal(result.result().mid, alone.mid)
         assert len(shared._derivatives) == len(shared.windows)
+
+
+def test_windows_after_one_that_was_too_long_are_shorter(monkeypatch):
+    """The rests of a chain grow steeply with the length of windows: few are tried twice."""
+    tried: list[float] = []
+    enclosed = WindowStepper._enclosed
+
+    def noted(stepper, length):
+        tried.append(length)
+        return enclosed(stepper, length)
+
+    monkeypatch.setattr(WindowStepper, "_enclosed", noted)
+    problem = hamsym.systems.fermi_pasta_ulam_tsingou(15)
+    found = enclose(problem.H, problem.z0, (0.0, 100.0))
+    assert len(tried) < 1.5 * len(found.windows)

@@ -167,3 +167,11 @@ def test_time_is_exact_far_from_the_origin():
     assert exact.lower <= found.bound
     assert Fraction(found.edges[-1]) == Fraction(span[1])
     assert math.isclose(found.bound, exact.bound, rel_tol=2)
+
+
+def test_march_of_a_long_chain_is_followed():
+    """Of 72 components, of which half are at rest in the beginning."""
+    problem = systems.fermi_pasta_ulam_tsingou(36)
+    solution = hamsym.solve(problem.H, problem.z0, (0.0, 4.0), tol=1e-9)
+    found = solution.certify(bound=1e-8)
+    assert len(found.edges) == len(solution.trial.edges)

@@ -31,8 +31,6 @@ _TERMS, _FEWER = 24, 16
 _TOGETHER = 64
 # Columns of a set for each component.
 _COLUMNS = 32
-# Most components: more take too long beside the windows of an enclosure.
-MOST_COMPONENTS = 64
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,6 +43,9 @@ _FINEST = 1e-28
 _ROUND_OFF = 2e-14
 # Rest of a window beside its derivative, in units of the accuracy, from which it is shortened.
 _REST = 1e4
+# Share of the length of a window whose rest was too large that later ones may have, and by how much
+# it grows from window to window.
+_SHORTER, _LONGER = 0.7, 1.02
 # Growth of the defect to the rest that is always allowed.
 _GROWTH = 1e3
 # Drop of the coefficients to round-off which is that of a polynomial.
@@ -81,6 +84,7 @@ class WindowGuess:
         self._linear = self._rows[1], self._equation.placed, lemma.signs, dim
         self._defect = np.full(dim, math.inf)  # per time, of the try before
         self._round_off = np.zeros(dim)  # defects per time that no window reduced
+        self._longest = math.inf  # half length of windows, after one whose rest was too large
 
     def forget_defect(self) -> None:
         """Begin another window, with which the defects of the last one are not compared."""
@@ -133,9 +137,13 @@ class WindowGuess:
         share = float((d / safe).max())
         largest = float((self._lemma.D / guess.units).max())
         grown = float((d / guess.units).max()) > _GROWTH * largest
-        if share > room and grown and self._lemma.place.w > shortest:
+        w = self._lemma.place.w
+        if share > room and grown and w > shortest:
+            self._longest = _SHORTER * w
             raise TooLongError(0.6)
-        return min(guess.factor, 1.0) if share > 0.1 * room else guess.factor
+        factor = min(guess.factor, self._longest / w)
+        self._longest *= _LONGER
+        return min(factor, 1.0) if share > 0.1 * room else factor
 
     def _collocated(self, w: float) -> tuple[np.ndarray, np.ndarray]:
         """Sizes of the components and coefficients of y in float64; and DG along y in rows.

@@ -27,7 +27,7 @@ from hamsym.proof.arithmetic.programs import BITS, ModelRows, Rows
 from hamsym.proof.limits import Deadline, TimeLimitError
 from hamsym.proof.windows.certificate import FLOOR, Certificate
 from hamsym.proof.windows.equation import Equation, equation_of
-from hamsym.proof.windows.followed_march import MOST_COMPONENTS, follow
+from hamsym.proof.windows.followed_march import follow
 from hamsym.proof.windows.proven_windows import WindowStepper
 from hamsym.proof.windows.trial_models import Piece, trial_pieces, zero_components
 from hamsym.proof.windows.window_sets import Window, set_sizes
@@ -195,7 +195,7 @@ class WindowProof:
     def _followed(self) -> WindowBounds | None:
         """Bounds by windows that are those of a march, if there are."""
         trial, dim = self._solution.trial, self._equation.dim
-        if not isinstance(trial, FeatureTrial) or dim > MOST_COMPONENTS:
+        if not isinstance(trial, FeatureTrial):
             return None
         edges = [self._pieces[0].start, *(piece.end for piece in self._pieces)]
         count = bisect_left(edges, self._total)
