@@ -38,7 +38,7 @@ from hamsym.solution.window_error import WindowError
 #: basis: of the estimate, of that of a march to a loose tolerance, whose windows are long, and of
 #: the check.
 RESOLUTIONS = {
-    16: ((8, 16, 24), (16, 24, 32), (40, 40, 72)),
+    16: ((8, 16, 24), (16, 24, 24), (40, 40, 72)),
     24: ((8, 24, 32), (16, 24, 32), (40, 40, 72)),
 }
 _USUAL, _LOOSE, _FINE = range(3)
