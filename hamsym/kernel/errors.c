@@ -296,7 +296,6 @@ static void apply_at_places(carrying *m, const error_tables *t, const actions *a
 /* Integrals D of the residual from the start of a window to the places, and A D there. */
 static void push(carrying *m, const equations *H, const error_tables *t, const actions *a) {
   products(t->drift, t->places, t->places, m->dz, H->dim, m->drift_inside);
-  run(&m->hessian, m->z, m->times, t->places, m->curvature);
   apply_at_places(m, t, a, H->dim, m->drift_inside, m->pushed);
 }
 
@@ -398,6 +397,7 @@ int carry_errors(carrying *m, const equations *H, const error_tables *t, const a
     double size, last = INFINITY;
     const rule *rule;
     fill(m->bent, 0.0, dim * t->places);
+    run(&m->hessian, m->z, m->times, t->places, m->curvature);
     for (;;) {
       rule = solve_window(m, H, t, a, s, w, joint, k, accuracy, &coarse_from);
       if (!rule) {
@@ -407,8 +407,9 @@ int carry_errors(carrying *m, const equations *H, const error_tables *t, const a
       size = find_error(m, H, t, rule, s, h);
       if (bent || size <= accuracy) break;
       double change = beyond(m, H, t, a, s, length);
-      if (change <= accuracy * size || (!(change < last / 2) && change <= CURVED * size)) break;
-      bent = !(change < last / 2);
+      int settles = change < last / 2;
+      if (change <= accuracy * size || (!settles && change <= CURVED * size)) break;
+      bent = !settles;
       if (bent) r->mark[k] |= BENT;
       coarse_from = k + 1 + KEPT;
       for (long c = 0; c < dim * t->places; c++) {

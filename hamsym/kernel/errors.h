@@ -19,7 +19,7 @@
 /* All windows estimated; errors as large as the motion, or not finite; a window without a solution. */
 enum error_outcome { DONE, LOST, STUCK, NO_ROOM };
 /* Marks of windows: the residual is large relative to the rates, or exceeds its limit; the error is so large
-   that its equation is not linear; the residual is not bounded. */
+   that terms beyond the linear one do not settle; the residual is not bounded. */
 enum mark { UNRESOLVED = 1, EXCESSIVE = 2, BENT = 4, UNBOUNDED = 8 };
 
 /* Vectors of the error: itself, random ones that represent round-off, of which there are four or two, and one in the

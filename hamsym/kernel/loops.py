@@ -27,7 +27,7 @@ DONE, LOST, STUCK, _NO_ROOM = range(4)
 # Verdicts on members: the checks of the loop passed; left to the caller.
 ACCEPTED, LEFT = range(2)
 # Marks of windows: the residual is large relative to the rates, or exceeds its limit; the error is
-# so large that its equation is not linear; the residual is not bounded.
+# so large that terms beyond the linear one do not settle; the residual is not bounded.
 UNRESOLVED, EXCESSIVE, BENT, UNBOUNDED = 1, 2, 4, 8
 
 LANES = 8  # rows have a multiple of these numbers
@@ -492,9 +492,9 @@ def solve_members(
     members: Members,
 ) -> int:
     """Solve members until the room for windows is full; return how many were solved."""
+    given = address(starts), address(parameters)
     done = library().hamsym_members(
-        *(ctypes.byref(shared), ctypes.byref(span), address(starts), address(parameters)),
-        ctypes.byref(members),
+        ctypes.byref(shared), ctypes.byref(span), *given, ctypes.byref(members)
     )
     shared.arrays["equations"].check()
     require_memory(done >= 0)

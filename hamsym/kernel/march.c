@@ -1,6 +1,5 @@
 #include "march.h"
 #include "functions.h"
-#include <stdlib.h>
 
 /* Distance of places from the ends of their window: units in the last place of the time at least, and
    at most where that is a small share of the window. */
@@ -35,19 +34,6 @@
 #define SMALL_MATRIX 100.0
 
 /* -- memory ------------------------------------------------------------------------------------ */
-
-double *take(arena *arena, long count) {
-  double *found = arena->memory ? arena->memory + arena->used : 0;
-  arena->used += (count + LINE - 1) / LINE * LINE;
-  return found;
-}
-
-int allocate(arena *arena) {
-  if (!(arena->whole = calloc(arena->used + LINE, sizeof(double)))) return 0;
-  arena->memory = (double *)(((uintptr_t)arena->whole / sizeof(double) + LINE) / LINE * LINE * sizeof(double));
-  arena->used = 0;
-  return 1;
-}
 
 void take_machine(arena *arena, machine *m, const program *p, long stride) {
   double *memory = take(arena, machine_size(p, stride));

@@ -3,6 +3,7 @@
 #ifndef HAMSYM_MARCH_H
 #define HAMSYM_MARCH_H
 
+#include "arena.h"
 #include "program.h"
 
 /* At the end of the span, at a window whose equation the fixed-point iteration does not solve, at a
@@ -62,13 +63,6 @@ typedef struct {
   double *scale, *weight, *sizes, *defects, *speeds, *noise;
 } marching;
 
-/* Doubles in a memory, or their number if there is no memory yet. They begin where a line of the cache does, so that no
-   vector crosses one. */
-typedef struct { double *memory; long used; void *whole; } arena;
-
-double *take(arena *arena, long count);
-/* Make a memory of zeros for what was taken, which is to be taken again; return whether there is one. */
-int allocate(arena *arena);
 void take_machine(arena *arena, machine *machine, const program *program, long stride);
 void lay_out_march(marching *m, arena *arena, const equations *H, const tables *t);
 void evaluate(machine *velocity, machine *force, const double *states, const double *times, long n, double *out);

@@ -4,9 +4,8 @@
    each other in the window, of which a block is evaluated at a time. A value is the same to the last bit whatever the
    other times are. */
 
+#include "arena.h"
 #include "functions.h"
-#include "march.h"
-#include <stdlib.h>
 
 #define BLOCK 16
 #define CUT (EPS / 64) /* terms of a series that are left out, as a share of all, with the weights of a derivative */

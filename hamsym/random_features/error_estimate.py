@@ -78,7 +78,7 @@ class Estimate(NamedTuple):
     error: MarchError
     #: Reason why the error is infinite in the last windows, "" if it is finite.
     limit: str
-    #: Largest error by the linear equation also where that is not valid, shape (dim,).
+    #: Largest error, by the linear equation alone where there is no estimate, shape (dim,).
     linear: np.ndarray
     #: Windows whose residual is large relative to the rates: the force may jump there.
     unresolved: list[tuple[float, float]]

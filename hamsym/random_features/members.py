@@ -43,7 +43,7 @@ from hamsym.solution.window_error import relative_tolerance
 # Of the local tolerance from one march to the next: share of the allowed error at which it aims,
 # and limits of the step; below the smallest one residuals are round-off.
 MARGIN, LEAST_STEP, MOST_STEP, SMALLEST = 0.3, 1e-4, 0.3, 1e-13
-TIGHTER = 3.0  # least excess that errors beyond the linear equation count as
+TIGHTER = 3.0  # least excess that marked windows count as
 _ROOM = 64  # windows for each member at first
 _LEAST_ROOM = 1_024  # windows of one call
 _MOST_ROOM = 2**21  # numbers in the readouts of one call
@@ -175,9 +175,8 @@ class MemberSolver:
                 _SPARE.clear()
             _SPARE[key] = members
         seconds = time.perf_counter() - wall, time.thread_time() - cpu
-        march = march_of(
-            *((edges, states, readouts), sizes, evaluations, self.basis.seed, self.origin, seconds)
-        )
+        windows_of = edges, states, readouts
+        march = march_of(windows_of, sizes, evaluations, self.basis.seed, self.origin, seconds)
         origin = np.array(self.origin)
         return Solved(march, MarchError(edges, series, floors, largest, sizes, origin), excess)
 

@@ -105,6 +105,7 @@ def solve_by_features(problem: InitialValueProblem, method: Features) -> Solutio
         )
         found = solver.solve_one(problem.z0, flow.parameters)
         if found is not None:
+            # The library judged it; to judge it here again takes 25 us, a fifth of a short solve.
             message = met_message(accuracy.tol, len(found.march.readouts), found.excess)
             settings = Settings.of(problem, method)
             return _solution_of(

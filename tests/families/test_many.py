@@ -217,6 +217,15 @@ def test_collisions_fail_alone() -> None:
     np.testing.assert_allclose(many(5.0)[0], [np.cos(5), np.sin(5), -np.sin(5), np.cos(5)])
 
 
+def test_loose_members_that_are_solved_by_themselves_keep_their_error() -> None:
+    H = Hamiltonian("p**2/2 + x**2/2 - x*1e4*exp(-((t - 3.37)/1e-5)**2)")
+    starts = [[1.1, 0.0], [1.0, 0.0]]
+    many = hamsym.solve_many(H, starts, (0, 10), tol=1e-4)
+    assert (many.table.status == MARCHED).all()
+    for member, start in zip(many, starts, strict=True):
+        same_solution(member, hamsym.solve(H, start, (0, 10), tol=1e-4))
+
+
 def test_impossible_energies_are_members_that_fail() -> None:
     plane = {"x": 0, "y": [0.0, 0.1, 0.9], "p_y": [[0.0], [0.1]]}
     starts = HENON.state_at_energy(1 / 8, plane, missing="nan")

@@ -170,12 +170,8 @@ class WindowLemma:
             if not all(map(np.array_equal, before, (series, length))):
                 flow = enclosures().flow_defects(series, length, *signed, V, sizes, half)
                 before = series, length
-            found, d, derivative, _ = enclosures().transport(
-                *(series, radius, length, *signed, start.xi, hull, sizes),
-                *(*flow, self.D),
-                half,
-                units,
-            )
+            over = series, radius, length, *signed, start.xi, hull, sizes
+            found, d, derivative, _ = enclosures().transport(*over, *flow, self.D, half, units)
             if (found < tube).all():
                 accepted = Bounds(found, d, derivative, sizes)
                 if thin or (tube < 1.1 * found).all():
