@@ -38,10 +38,12 @@ from hamsym.solution.window_error import WindowError
 #: basis: of the estimate, of that of a march to a loose tolerance, whose windows are long, and of
 #: the check.
 RESOLUTIONS = {
-    16: ((8, 16, 24), (16, 24, 24), (40, 40, 72)),
+    16: ((8, 16, 24), (16, 24, 32), (40, 40, 72)),
     24: ((8, 24, 32), (16, 24, 32), (40, 40, 72)),
 }
 _USUAL, _LOOSE, _FINE = range(3)
+#: Terms of the series of errors that marches estimate, by the nodes of the basis.
+TERMS = {nodes: (usual[-1], loose[-1]) for nodes, (usual, loose, _) in RESOLUTIONS.items()}
 #: Last coefficients of the vectors at the coarse nodes, times their accuracy, at most: those left
 #: out are smaller by a factor, which is closer to one in long windows.
 _RESOLVED = (100.0, 10.0, 10.0)

@@ -25,6 +25,7 @@ from hamsym.random_features.method import checked_accuracy
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
 from hamsym.solution.window_error import _dense
+from hamsym.systems import CATALOGUE
 
 EXTENDED = np.finfo(np.longdouble).eps < 1e-18
 
@@ -215,6 +216,21 @@ def test_estimate_ends_where_errors_are_as_large_as_the_motion(
     assert 0 < held < end
     assert (error[some].max(axis=0) <= 1.1 * estimated.max(axis=0)).all()
     assert np.isfinite(found.linear).all()
+
+
+@pytest.mark.parametrize("local", [1e-4, 1e-6, 2e-8])
+def test_error_in_long_windows_is_resolved(local: float) -> None:
+    """Windows of a march to a loose tolerance are long, and their residuals oscillate fast."""
+    flow = flow_of(CATALOGUE["double_pendulum"]().H.with_parameters(g=1))
+    basis, found = feature_basis(0, 16), 0
+    for z0 in np.random.default_rng(1).uniform(-2, 2, (12, 4)):
+        windows = march(flow, z0, (0.0, 20.0), local, basis, longest=2.5)
+        usual = estimate_error(windows, basis, flow, local)
+        fine = estimate_error(windows, basis, flow, local, resolution=2)
+        if not usual.limit:
+            np.testing.assert_allclose(usual.error.largest, fine.error.largest, rtol=0.05)
+            found += 1
+    assert found >= 9
 
 
 def test_hessian_that_is_not_finite_ends_the_estimate() -> None:
