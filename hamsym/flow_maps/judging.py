@@ -27,6 +27,7 @@ from hamsym.flow_maps.domain import Domain, random_places
 from hamsym.flow_maps.narrow_places import narrow_places
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.collocation import collocation
+from hamsym.numerics.linear_systems import solved
 from hamsym.support.record_fields import AnyFloat, Count, floats
 
 _MARGIN = 1.5  # times the largest error found
@@ -214,8 +215,8 @@ def linear_error(
             forced = np.einsum("naij,nj->nai", matrices, delta) - residual
             if not (np.isfinite(system_matrix).all() and np.isfinite(forced).all()):
                 return np.full(dim, np.inf)
-            solved = np.linalg.solve(system_matrix, forced.reshape(count, -1, 1))
-        rate = solved.reshape(count, _NODES, dim)
+            slopes = solved(system_matrix, forced.reshape(count, -1, 1))
+        rate = slopes.reshape(count, _NODES, dim)
         path = delta[:, None] + length * np.einsum("ab,nbi->nai", table.integration, rate)
         delta, before = path[:, -1], last
         largest = np.maximum(largest, np.abs(path).max(axis=(0, 1)))

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from hamsym.numerics.collocation import collocation
+from hamsym.numerics.linear_systems import solved
 
 _NODES = 28
 _ITERATIONS = 60
@@ -68,11 +69,11 @@ class TangentMaps:
             if not open_.any() or not np.all(size < 1e100):
                 break
         for w in np.flatnonzero(open_):
-            maps[:, :, :, w] = _solved(scaled[w], integration[:-1])
+            maps[:, :, :, w] = _solved_directly(scaled[w], integration[:-1])
         rates = _rates(entries, maps)
         ends = unit + _integrated(integration[-1:], rates)
-        for solved in (maps, rates, ends):
-            solved[:, :, dim:] *= unit_forcing.T
+        for whole in (maps, rates, ends):
+            whole[:, :, dim:] *= unit_forcing.T
         self.inside, self._node_rates = maps, rates
         self.ends = np.ascontiguousarray(ends[:, 0].transpose(2, 0, 1))
 
@@ -156,15 +157,12 @@ def _integrated(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
     return product.reshape(dim, len(matrix), columns, windows)
 
 
-def _solved(generator: np.ndarray, integration: np.ndarray) -> np.ndarray:
+def _solved_directly(generator: np.ndarray, integration: np.ndarray) -> np.ndarray:
     """Solve the collocation equations of one window directly, where the iteration fails."""
     nodes, dim, columns = generator.shape
     size = nodes * dim
     matrix = np.einsum("kl,lij->kilj", integration, generator[..., :dim]).reshape(size, size)
     driven = np.tile(np.eye(dim, columns), (nodes, 1, 1))
     driven[..., dim:] = np.einsum("kl,lij->kij", integration, generator[..., dim:])
-    try:
-        maps = np.linalg.solve(np.eye(size) - matrix, driven.reshape(size, columns))
-    except np.linalg.LinAlgError:
-        maps = np.full((size, columns), np.nan)
+    maps = solved(np.eye(size) - matrix, driven.reshape(size, columns))
     return maps.reshape(nodes, dim, columns).transpose(1, 0, 2)

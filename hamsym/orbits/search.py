@@ -27,6 +27,10 @@ _EXTRA_NODES = 8  # of the check
 _ITERATIONS = 30
 _HALVINGS = 6  # of a Newton step
 _SLOW, _MOST_SLOW = 0.1, 4  # share of a step that is slow, and the number of slow ones
+_WANDERS, _AWAY = (
+    6,
+    3.0,
+)  # step from which corrections larger than the first one by this end the search
 _CONVERGED = 1e-12  # size of a correction; later ones are round-off
 _TAIL = 1e-13  # coefficients that a window leaves out, relative to the components
 _REFINEMENTS = 12
@@ -327,8 +331,8 @@ def converged(problem: Problem, arc: Arc) -> Found:
     with np.errstate(all="ignore"):
         planes = slice_of(problem, arc)
         step = NewtonSystem(problem, arc, planes).solved()
-        slow = 0
-        for _ in range(_ITERATIONS):
+        slow, first = 0, step.size
+        for iteration in range(_ITERATIONS):
             if not math.isfinite(step.size):
                 return Found(arc, step, "the equations are not finite along the guess")
             if step.size <= _CONVERGED:
@@ -350,6 +354,8 @@ def converged(problem: Problem, arc: Arc) -> Found:
                 if step.size <= 1e-8 and step.residual <= 1e-11:
                     return Found(arc, step)
                 return Found(arc, step, "Newton's method made no more progress")
+            if iteration >= _WANDERS and not after.size <= _AWAY * first:
+                return Found(trial, after, "Newton's method goes away from this guess")
             slow += share < _SLOW
             if slow > _MOST_SLOW:
                 return Found(trial, after, "Newton's method is too slow from this guess")

@@ -7,15 +7,16 @@ many thousands. Newton's matrix is needed in float64 only.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.collocation import collocation
+from hamsym.numerics.linear_systems import solved
 from hamsym.orbits.arc import Arc, Problem
 from hamsym.orbits.integrals import gradients_from
+from hamsym.parallel.threads import Threads
 from hamsym.random_features.flow import flow_of
 from hamsym.solution.parameters import ParameterForcing
 
@@ -40,8 +41,10 @@ class WindowMaps:
         self.residual = np.empty((windows, nodes, dim))
         self._problem, self._arc, self._scale = problem, arc, arc.scale
         count = max(1, _BLOCK // (nodes * dim) ** 2)
-        for first in range(0, windows, count):
-            self._solve(slice(first, first + count))
+        blocks = [slice(first, first + count) for first in range(0, windows, count)]
+        with Threads(len(blocks)) as threads:
+            for _ in threads.results(self._solve, blocks):
+                pass
 
     def _solve(self, block: slice) -> None:
         """Solve the equations in some of the windows."""
@@ -74,13 +77,9 @@ class WindowMaps:
         columns[..., :dim] = np.eye(dim)
         columns[..., dim:] = np.einsum("ij,kjdc->kidc", inside, forcing)
         columns[..., -1] = residual
-        size = nodes * dim
         # In units of the components: pivots of coordinates and momenta are comparable in no others.
         scaled = jacobians * scale / scale[:, None]
-        matrix = np.einsum("ij,kjab->kiajb", inside, scaled).reshape(windows, size, size)
-        right = (columns / scale[:, None]).reshape(windows, size, -1)
-        solution = _each_solved(np.eye(size) - matrix, right).reshape(columns.shape)
-        solution *= scale[:, None]
+        solution = _solved(inside, scaled, columns / scale[:, None]) * scale[:, None]
         driven = np.einsum("kjab,kjbc->kjac", jacobians, solution)
         driven[..., dim:] += forcing
         ends = np.einsum("j,kjac->kac", last, driven)
@@ -114,8 +113,25 @@ def _extended_rates(problem: Problem, states: np.ndarray, times: np.ndarray) -> 
         return field(states, times)
 
 
-def _each_solved(matrices: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    try:
-        return np.linalg.solve(matrices, columns)
-    except np.linalg.LinAlgError:
-        return np.full(columns.shape, math.nan)
+def _solved(inside: np.ndarray, jacobians: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Solve X = columns + S J X at the points of each window, S the integration matrix."""
+    half = jacobians.shape[-1] // 2
+    drift, force = jacobians[..., :half, half:], jacobians[..., half:, :half]
+    others = jacobians[..., :half, :half], jacobians[..., half:, half:]
+    if any(block.any() for block in others) or (drift != drift[:, :1]).any():
+        return _each_solved(inside, jacobians, columns)
+    # Coordinates alone, of an equation of half the size: H is quadratic in the momenta.
+    moved = columns[..., :half, :] + np.einsum(
+        "ij,kjac->kiac", inside, drift @ columns[..., half:, :]
+    )
+    coordinates = _each_solved(inside @ inside, drift @ force, moved)
+    momenta = np.einsum("ij,kjac->kiac", inside, force @ coordinates) + columns[..., half:, :]
+    return np.concatenate((coordinates, momenta), axis=2)
+
+
+def _each_solved(inside: np.ndarray, jacobians: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    windows, nodes, dim, _ = columns.shape
+    size = nodes * dim
+    matrices = np.einsum("ij,kjab->kiajb", inside, jacobians).reshape(windows, size, size)
+    found = solved(np.eye(size) - matrices, columns.reshape(windows, size, -1))
+    return found.reshape(columns.shape)

@@ -24,6 +24,7 @@ import numpy as np
 import scipy
 
 from hamsym.kernel import loops
+from hamsym.numerics.linear_systems import solved
 from hamsym.numerics.scales import floored_sizes, smallest_sizes
 from hamsym.random_features.basis import FeatureBasis
 from hamsym.random_features.flow import Flow
@@ -390,10 +391,7 @@ def newton(
         matrix = np.eye(count * dim) - np.einsum(
             "kl,lij->kilj", integration, flow.jacobian(Z, times)
         ).reshape(count * dim, count * dim)
-        try:
-            correction = np.linalg.solve(matrix, defect.ravel()).reshape(count, dim)
-        except np.linalg.LinAlgError:
-            return None, step
+        correction = solved(matrix, defect.reshape(-1, 1)).reshape(count, dim)
         Z = Z + correction
         scale = np.maximum(np.maximum(sizes, np.abs(Z).max(axis=0)), _TINY)
         change = float((np.abs(correction) / scale).max())

@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from hamsym.numerics.linear_systems import blas_on_one_core
+
 # Limits of a container (cgroups 2 and 1): bytes of memory, and microseconds of the processors in a
 # period, both in one file or in two.
 _MEMORY = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
@@ -48,14 +50,15 @@ def _container_cores() -> int:
 
 @contextmanager
 def one_core() -> Iterator[None]:
-    """Let work of this thread use one core, also that of torch: others use the other cores."""
+    """Let work of this thread use one core, also that of torch and BLAS: others use the others."""
     torch = sys.modules.get("torch")  # what has not imported it does not use it
     before, threads = getattr(_own, "alone", False), torch.get_num_threads() if torch else 1
     _own.alone = True
     if threads > 1:
         torch.set_num_threads(1)  # type: ignore[union-attr]
     try:
-        yield
+        with blas_on_one_core():
+            yield
     finally:
         _own.alone = before
         if threads > 1:
