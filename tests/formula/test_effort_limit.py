@@ -5,6 +5,8 @@ from __future__ import annotations
 import cProfile
 import gc
 import sys
+import threading
+from collections.abc import Callable
 
 import pytest
 
@@ -51,18 +53,69 @@ def test_no_limit_under_a_profiler() -> None:
     assert busy.__code__ in called
 
 
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_lost_exception_is_raised_at_the_end() -> None:
-    """In a callback of the garbage collector an exception is printed, not passed on."""
+class Deleted:
+    def __del__(self) -> None:
+        busy(100_000)
 
+
+def collected() -> None:
     def callback(phase: str, _: object) -> None:
         if phase == "start":
             busy(100_000)
 
     gc.callbacks.append(callback)
     try:
-        with pytest.raises(CallLimitExceededError), call_limit(10_000, seconds=600):
-            gc.collect()
+        gc.collect()
     finally:
         gc.callbacks.remove(callback)
+
+
+@pytest.mark.parametrize("lose", [Deleted, collected])
+@pytest.mark.filterwarnings("error")
+def test_lost_exception_is_raised_again(lose: Callable[[], object]) -> None:
+    """While objects are deleted the interpreter prints errors and drops them."""
+    hook, reached = sys.unraisablehook, []
+
+    def go_on() -> None:
+        lose()
+        for _ in range(10**5):
+            reached.append(1)
+
+    with pytest.raises(CallLimitExceededError), call_limit(10_000, seconds=600):
+        go_on()
+    assert len(reached) < 10
+    assert sys.unraisablehook is hook
+    assert sys.getprofile() is None
+
+
+def test_other_errors_are_reported() -> None:
+    class Broken:
+        def __del__(self) -> None:
+            raise ValueError("of a deleted object")
+
+    found = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "unraisablehook", found.append)
+        with call_limit(10_000, seconds=600):
+            Broken()
+    assert [error.exc_type for error in found] == [ValueError]
+
+
+def test_threads_end_their_own_computations() -> None:
+    ended = []
+
+    def lose_and_go_on() -> None:
+        Deleted()
+        busy(10**8)
+
+    def work() -> None:
+        with pytest.raises(CallLimitExceededError), call_limit(10_000, seconds=600):
+            lose_and_go_on()
+        ended.append(sys.getprofile())
+
+    threads = [threading.Thread(target=work) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert ended == [None] * 3

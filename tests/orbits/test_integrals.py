@@ -25,7 +25,7 @@ SPRING = "(p_x**2 + p_y**2)/2 + (x**2 + y**2)**2/4"
 def test_integrals_of_three_bodies_are_energy_momenta_and_angular_momentum():
     H = three_bodies()
     found = independent_integrals(H, np.array(EIGHT), np.ones(12))
-    assert found[0] is H
+    assert found[0] == H
     assert len(found) == 4
     assert neutral(found, H) == [True] * 4
 
