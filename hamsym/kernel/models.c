@@ -743,7 +743,7 @@ int is_bounded(bounding *m, const equations *H, const bound_tables *t, double to
   bound_residual(H->velocity, H->force, t->models, m->z, m->rates, m->times, start, end, parameters, m->row, m->bounds,
                  m->rounding);
   for (long i = 0; i < dim; i++)
-    if (!(m->bounds[i] * length <= greater(m->limits[i], TINY) && m->limits[i] < INFINITY)) return 0;
+    if (!(m->bounds[i] * length <= MOST_SHARES * greater(m->limits[i], TINY) && m->limits[i] < INFINITY)) return 0;
   return 1;
 }
 
