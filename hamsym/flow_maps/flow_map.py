@@ -303,9 +303,9 @@ class FlowMap(Drawn, Saved):
 
         The defect of the map is enclosed over the whole box by Taylor models, and what becomes of
         it by the linear equation of the error with a bound on the second order
-        (:mod:`hamsym.proof.boxes.tube`); every rounding is included. It reaches as far as the map
-        is much more accurate than the distance over which H is nonlinear, with up to four or so
-        inputs.
+        (:mod:`hamsym.proof.boxes.box_proof`); every rounding is included. Maps of one leg, chains
+        of legs and splits are proven alike. It reaches as far as the map is much more accurate than
+        the distance over which H is nonlinear, with up to four or so inputs.
 
         Parameters
         ----------

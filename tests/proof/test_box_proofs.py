@@ -13,6 +13,7 @@ from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.flow_maps.box import checked_box
 from hamsym.flow_maps.compiled_piece import CompiledPiece
 from hamsym.flow_maps.expansion import Chain, Split
+from hamsym.proof.boxes import box_proof
 from hamsym.proof.boxes.box_certificate import BoxCertificate
 from hamsym.proof.boxes.tube import Flow
 
@@ -143,6 +144,61 @@ def test_expressions_time_and_roots_have_models():
     assert max(driven.certify().bound) < 1e-5
 
 
+def springs(starts, stiffness, times):
+    """The exact motion with H = p^2/2 + k x^2/2."""
+    (x, p), omega = np.asarray(starts).T, np.sqrt(stiffness)
+    cosine, sine = np.cos(omega * times), np.sin(omega * times)
+    return np.stack((x * cosine + p * sine / omega, p * cosine - omega * x * sine), axis=-1)
+
+
+def quartic_motion(start, times):
+    """The exact motion with H = p^2/2 + x^2/2 + x^4/4, in 40 digits."""
+    with mpmath.workdps(40):
+        x, p = map(mpmath.mpf, start)
+        square = mpmath.sqrt(1 + 2 * p**2 + 2 * x**2 + x**4) - 1
+        A, rate, m = mpmath.sqrt(square), mpmath.sqrt(1 + square), square / (2 * (1 + square))
+        phase = -mpmath.sign(p) * mpmath.ellipf(mpmath.acos(x / A), m)
+        found = []
+        for t in times.tolist():
+            u = rate * t + phase
+            sn, cn, dn = (mpmath.ellipfun(name, u, m=m) for name in ("sn", "cn", "dn"))
+            found.append((float(A * cn), float(-A * rate * sn * dn)))
+    return np.array(found)
+
+
+def errors_at_random(flow, exact, count=1_000):
+    """The largest errors of a map with the inputs x and p, and perhaps k, at random points."""
+    random = np.random.default_rng(6)
+    inputs = random.uniform(flow.region.low, flow.region.high, (count, len(flow.inputs)))
+    times = random.uniform(*sorted(flow.span), count)
+    given = {name: inputs[:, 2 + i] for i, name in enumerate(flow.region.parameters)}
+    states = flow(times, inputs[:, :2], given)
+    return np.abs(states - exact(inputs[:, :2], *given.values(), times)).max(axis=0)
+
+
+@pytest.fixture(scope="module")
+def chain():
+    """Two legs."""
+    first = hamsym.flow_map("p**2/2 + x**2/2", {"x": (1, 1.1), "p": (0, 0.1)}, (0, 1), tol=1e-7)
+    image = {"x": (0.5, 0.7), "p": (-1, -0.7)}
+    second = hamsym.flow_map("p**2/2 + x**2/2", image, (1, 2), tol=1e-7)
+    legs = Chain([first.map, second.map], np.array([1.0]), np.array([], dtype=int))
+    return dataclasses.replace(first, map=legs, span=(0.0, 2.0))
+
+
+def with_sides(flow, change):
+    """A chain whose second leg is split along a slanted plane, and changed on its upper side."""
+    first, second = flow.map.maps
+    split = Split(np.array([1.0, 0.5]), 0.2, second, change(second))
+    return dataclasses.replace(flow, map=Chain([first, split], flow.map.joints, flow.map.kept))
+
+
+def shifted(leg, amount):
+    changed = copy.deepcopy(leg)
+    changed.offset = changed.offset + amount
+    return changed
+
+
 @pytest.mark.slow
 def test_split_maps_are_proven_part_by_part(harmonic):
     split = Split(np.array([-2.0, 0.0]), -3.0, harmonic.map, harmonic.map)
@@ -150,25 +206,91 @@ def test_split_maps_are_proven_part_by_part(harmonic):
     halves = dataclasses.replace(harmonic, map=split).certify()
     assert halves.parts == 2
     assert np.allclose(halves.bound, whole, rtol=0, atol=1e-10)
-    plane = Split(np.array([1.0, 1.0]), 0.0, split.low, split.high)
-    slanted = dataclasses.replace(harmonic, map=plane)
-    with pytest.raises(CertificationError, match="slanted plane"):
-        slanted.certify()
+    plane = Split(np.array([1.0, 1.0]), 1.6, split.low, split.high)
+    slanted = dataclasses.replace(harmonic, map=plane).certify()
+    assert np.allclose(slanted.bound, whole, rtol=0, atol=1e-10)
+
+
+def test_chains_of_legs_are_proven(chain):
+    found = chain.certify()
+    error = errors_at_random(chain, turned)
+    assert (error <= np.array(found.bound) + 4e-15).all()
+    assert max(found.bound) < 1e-7
+
+
+def test_changes_between_legs_are_errors(chain, monkeypatch):
+    first, second = chain.map.maps
+    legs = Chain([first, shifted(second, 1e-6)], chain.map.joints, chain.map.kept)
+    wrong = dataclasses.replace(chain, map=legs)
+    with pytest.raises(CertificationError, match="the flow map at t = 1.0 "):
+        wrong.certify()
+    monkeypatch.setattr(box_proof, "check_map", lambda *_: None)
+    bound = np.array(wrong.certify().bound)
+    assert (errors_at_random(wrong, turned) <= bound + 4e-15).all()
+    assert (bound > 1e-6).all()
 
 
 @pytest.mark.slow
-def test_chains_of_legs_are_proven():
-    first = hamsym.flow_map("p**2/2 + x**2/2", {"x": (1, 1.1), "p": (0, 0.1)}, (0, 1), tol=1e-7)
-    image = {"x": (0.5, 0.7), "p": (-1, -0.7)}
-    second = hamsym.flow_map("p**2/2 + x**2/2", image, (1, 2), tol=1e-7)
-    legs = Chain([first.map, second.map], np.array([1.0]), np.array([], dtype=int))
+def test_both_sides_of_a_split_after_a_leg_are_proven(chain, monkeypatch):
+    same = with_sides(chain, lambda leg: leg).certify()
+    assert np.allclose(same.bound, chain.certify().bound, rtol=0, atol=1e-9)
+    monkeypatch.setattr(box_proof, "check_map", lambda *_: None)
+    wrong = with_sides(chain, lambda leg: shifted(leg, 1e-6))
+    bound = np.array(wrong.certify().bound)
+    error = errors_at_random(wrong, turned)
+    assert (error > 1e-6).all()
+    assert (error <= bound + 4e-15).all()
+    far = with_sides(chain, lambda leg: leg)
+    far.map.maps[1].threshold = 5.0  # above which no state is
+    far.map.maps[1].high = shifted(far.map.maps[1].high, 1.0)
+    assert far.certify().bound == pytest.approx(chain.certify().bound, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_chains_keep_parameters():
+    H, stiffness = "p**2/2 + k*x**2/2", {"k": (1, 1.2)}
+    first = hamsym.flow_map(H, {"x": (1, 1.1), "p": (0, 0.1)}, (0, 1), stiffness, tol=1e-7)
+    image = {"x": (0.4, 0.7), "p": (-1.1, -0.7)}
+    second = hamsym.flow_map(H, image, (1, 2), stiffness, tol=1e-7)
+    legs = Chain([first.map, second.map], np.array([1.0]), np.array([2]))
     flow = dataclasses.replace(first, map=legs, span=(0.0, 2.0))
-    found = flow.certify()
-    random = np.random.default_rng(6)
-    starts, times = random.uniform((1, 0), (1.1, 0.1), (1_000, 2)), random.uniform(0, 2, 1_000)
-    error = np.abs(flow(times, starts) - turned(starts, times)).max(axis=0)
-    assert (error <= np.array(found.bound) + 4e-15).all()
-    assert max(found.bound) < 1e-7
+    bound = np.array(flow.certify().bound)
+    assert (errors_at_random(flow, springs) <= bound + 4e-15).all()
+    assert max(bound) < 1e-7
+
+
+@pytest.mark.slow
+def test_forged_certificates_of_chains_and_splits_are_refused(chain):
+    for flow in (chain, with_sides(chain, lambda leg: leg)):
+        found = flow.certify()
+        hamsym.verify(found, flow)
+        smaller = dataclasses.replace(found, bound=(found.bound[0], 0.9 * found.bound[1]))
+        with pytest.raises(CertificationError, match="the bound of p, .*, is not proven"):
+            hamsym.verify(smaller, flow)
+    with pytest.raises(CertificationError, match="SHA-256 mismatch"):
+        hamsym.verify(chain.certify(), with_sides(chain, lambda leg: leg))
+
+
+@pytest.mark.slow
+def test_wide_box_is_proven_over_a_period():
+    box = {"x": (1.0, 1.6), "p": (0.7, 1.3)}
+    flow = hamsym.flow_map(QUARTIC, box, (0, 2 * np.pi), tol=1e-6)
+    bound = np.array(flow.certify().bound)
+    random = np.random.default_rng(7)
+    times = np.linspace(0, flow.span[1], 60)
+    starts = random.uniform((1.0, 0.7), (1.6, 1.3), (30, 2))
+    for start in starts:
+        assert (np.abs(flow(times, start) - quartic_motion(start, times)) <= bound + 1e-14).all()
+    assert (bound <= 2 * flow.largest_error).all()
+
+
+@pytest.mark.slow
+def test_cells_at_a_singular_expression_are_halved():
+    """The model of the root has no value over the whole interval."""
+    H = "(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)"
+    z0 = {"x": "1 - e", "y": 0, "p_x": 0, "p_y": "sqrt((1 + e)/(1 - e))"}
+    flow = hamsym.flow_map(H, z0, (0, 0.2), {"e": (0, 0.6)}, tol=1e-6)
+    assert max(flow.certify().bound) < 1e-5
 
 
 def test_part_of_the_box_can_be_certified(quartic, certificate):

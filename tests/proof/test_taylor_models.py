@@ -83,3 +83,27 @@ def test_lower_powers_are_below_the_powers():
             exact = Fraction(size) ** n
             assert Fraction(power) <= exact
             assert Fraction(power) >= exact * (1 - Fraction(1, 10**12)) or exact < 1e-289
+
+
+def test_lower_degrees_are_within_the_radius():
+    space, lower = Space(2, 8, 6), Space(2, 5, 4)
+    random = np.random.default_rng(8)
+    sizes = 0.5 ** space.exponents.sum(axis=1)
+    coefficients = random.normal(size=(space.count, 3)) * sizes[:, None]
+    model = Model(space, coefficients, np.array([0.0, 0.0, 0.25]))
+    found = space.lowered(model, lower)
+    assert (found.radius[:2] > 0).all()
+    assert (found.radius < 0.25 + np.abs(coefficients).sum(axis=0) / 4).all()
+    assert found.radius[2] > 0.25
+    for place in random.uniform(-1, 1, (50, 3)):
+        values = np.prod(place**space.exponents, axis=1) @ coefficients
+        lowered = np.prod(place**lower.exponents, axis=1) @ found.coefficients
+        assert (np.abs(values - lowered) <= found.radius + 1e-14).all()
+    assert space.lowered(model, space) is model
+    # A polynomial of low degrees keeps its coefficients.
+    inside = [space.places[term] for term in lower.places]
+    own = np.zeros((space.count, 1))
+    own[inside] = random.normal(size=(lower.count, 1))
+    found = space.lowered(Model(space, own, np.zeros(1)), lower)
+    assert found.coefficients == pytest.approx(own[inside], abs=1e-13)
+    assert found.radius[0] < 1e-11

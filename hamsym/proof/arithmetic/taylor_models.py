@@ -95,6 +95,7 @@ class Space:
         counts = np.bincount(self._pairs[2])
         self.most = int(counts.max())
         self._halves: dict[tuple[int, int], csr_array] = {}
+        self._lower: dict[Space, tuple[csr_array, np.ndarray, csr_array]] = {}
         self._without_time = np.array([self.places[(0, *nu)] for _, *nu in own])
         integral, self._beyond = self._integration()
         self._integral = csr_array(integral)
@@ -187,7 +188,8 @@ class Space:
         """A model without time on parts of its cells."""
         found = model.coefficients[:, parts.parents]
         rest = model.radius[parts.parents]
-        rest = rest + 2 * (self.most + 4) * UNIT * model.amount()[parts.parents] * parts.halved
+        rounding = 2 * (self.degree + 4) * UNIT * model.amount()
+        rest = rest + rounding[parts.parents] * parts.halved
         for k in range(self.inputs):
             for side in (-1, 1):
                 chosen = parts.halved & (parts.axes == k) & (parts.sides == side)
@@ -207,6 +209,33 @@ class Space:
                     matrix[self.places[lower], i] = share
             self._halves[k, side] = csr_array(matrix)
         return self._halves[k, side]
+
+    def lowered(self, model: Model, lower: Space) -> Model:
+        """A model in a space of lower degrees, without the Chebyshev polynomials beyond them."""
+        if lower is self:
+            return model
+        if lower not in self._lower:
+            self._lower[lower] = self._lowering(lower)
+        matrix, growth, beyond = self._lower[lower]
+        rest = np.abs(beyond @ model.coefficients).sum(axis=0)
+        # The entries of a column of the matrix to Chebyshev polynomials sum up to 1.
+        rounding = 2 * (self.count + 4) * UNIT * ((growth + 1) @ np.abs(model.coefficients))
+        found = matrix @ model.coefficients
+        return Model(lower, found, sum_up(model.radius + rest + rounding, 2 * self.count))
+
+    def _lowering(self, lower: Space) -> tuple[csr_array, np.ndarray, csr_array]:
+        """The matrix to a space of lower degrees, the sums of its columns, and what it leaves out.
+
+        Its entries are binary fractions of few bits, so that they are exact.
+        """
+        matrix, kept = np.zeros((lower.count, self.count)), np.full(self.count, False)
+        for term in lower.places:
+            kept[self.places[term]] = True
+            row = self.series[[self.places[term]]].toarray()[0]
+            for degrees in itertools.product(*(range(a % 2, a + 1, 2) for a in term)):
+                share = math.prod(map(_power_share, term, degrees))
+                matrix[lower.places[degrees]] += share * row
+        return csr_array(matrix), np.abs(matrix).sum(axis=0), self.series[np.flatnonzero(~kept)]
 
     def at(self, model: Model, x: Fraction) -> Model:
         """The model at tau = x."""
@@ -241,6 +270,12 @@ class Parts:
     halved: np.ndarray
     axes: np.ndarray
     sides: np.ndarray
+
+    @classmethod
+    def chosen(cls, cells: Sequence[int] | np.ndarray) -> Parts:
+        """Some cells as they are."""
+        same = np.zeros(len(cells), dtype=int)
+        return cls(np.array(cells, dtype=int), same > 0, same, same)
 
     @classmethod
     def halving(cls, wide: np.ndarray, axes: np.ndarray) -> Parts:
@@ -412,6 +447,17 @@ def _chebyshev_share(power: int, degree: int) -> float:
     """The coefficient of T_degree(x) in x**power, of the same parity."""
     share = math.comb(power, (power - degree) // 2) * 2.0 ** (1 - power)
     return share if degree else share / 2
+
+
+@functools.cache
+def _chebyshev_powers(degree: int) -> list[float]:
+    """Coefficients of the powers in T_degree."""
+    return np.polynomial.chebyshev.cheb2poly([0.0] * degree + [1.0]).tolist()
+
+
+def _power_share(degree: int, power: int) -> float:
+    """The coefficient of x**power in T_degree(x)."""
+    return _chebyshev_powers(degree)[power]
 
 
 def multi_indices(count: int, degree: int) -> list[tuple[int, ...]]:

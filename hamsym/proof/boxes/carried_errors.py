@@ -1,4 +1,4 @@
-"""Errors of the polynomials of wide sets, and derivatives of the solutions, from step to step.
+"""Errors of polynomials near solutions, and derivatives of solutions, from step to step.
 
 With z^, M, S, A, r and D of :mod:`hamsym.proof.boxes.tube`, a column Y, which is the error
 delta = z^ - z or a derivative of z, fulfils on a step
@@ -53,7 +53,7 @@ class ErrorStep:
     - change: Bounds on the change of S before the step, shape (dim, dim, parts).
     - w: W on the step.
     - bound, rest, curvature: D; bounds on the integral of |e|, and on the second derivatives of F.
-    - added: Radii that the step adds, shape (dim, parts).
+    - added: Radii that the step adds to W, shape (dim, parts).
     """
 
     change: np.ndarray
@@ -62,11 +62,13 @@ class ErrorStep:
     rest: np.ndarray
     curvature: np.ndarray
     added: np.ndarray
+    #: What D would be without radii and second order, not a proven number.
+    sharp: np.ndarray
 
 
 @dataclass
 class CarriedErrors:
-    """Delta, and the derivatives by the starts and by parameters, where a step begins.
+    """Delta, and perhaps the derivatives by the starts and parameters, where a step begins.
 
     - columns: W of delta, of starts and of parameters; a model for each component.
     - frame, radii: B and R; shapes (dim, dim, parts) and (dim, columns, parts).
@@ -97,6 +99,15 @@ class CarriedErrors:
         frame, present = np.eye(dim)[:, :, None], start[:, :, None] + radii
         return cls(stepper, slopes, columns, frame, radii, one, one, present)
 
+    @classmethod
+    def of_map(cls, stepper: Stepper, slopes: ParameterSlopes, start: list[Model]) -> CarriedErrors:
+        """Delta alone, from its models at the start."""
+        dim, cells = len(start), len(start[0].radius)
+        frame = np.repeat(np.eye(dim)[:, :, None], cells, axis=2)
+        present = np.array([model.largest() for model in start])[:, None]
+        one, radii = stepper.first(cells), np.zeros((dim, 1, cells))
+        return cls(stepper, slopes, [start], frame, radii, one, one, present)
+
     def split(self, parts: Parts) -> CarriedErrors:
         """The columns on parts of the parts."""
         space, own = self.stepper.space, parts.parents
@@ -116,24 +127,22 @@ class CarriedErrors:
             self.present[:, :, own],
         )
 
-    def step(self, models: StepModels, jump: list[Model]) -> ErrorStep:
+    def step(self, models: StepModels, jump: list[Model] | None) -> ErrorStep:
         """Delta on a step at whose begin the polynomials change by ``jump``."""
-        space, dim = self.stepper.space, len(jump)
+        space = self.stepper.space
         starts = [[space.at_end(entry, -1) for entry in row] for row in models.adjoint]
         pairs = zip(starts, self.adjoint, strict=True)
         change = sizes([[a - b for a, b in zip(*rows, strict=True)] for rows in pairs])
-        shifts = [
-            total([entry * model for entry, model in zip(row, jump, strict=True)]) for row in starts
-        ]
+        shifts = None if jump is None else _product(starts, jump)
         w = self._on_step(0, models, change, shifts, models.forced)
-        linear = np.array([model.largest() for model in _product(models.fundamental, w)])
+        main = _product(models.fundamental, w)
+        sharp = np.array([model.size() for model in main])
+        linear = np.array([model.largest() for model in main])
         linear = sum_up(linear + self._spread(models)[:, 0])
         bound, rest, curvature = kept_bound(self.stepper.flow, models, linear)
         before = np.array([model.radius for model in self.columns[0]])
-        more = np.array([space.at_end(model, 1).radius for model in w]) - before + rest
-        added = np.einsum("ijc,jc->ic", sizes(models.fundamental), more)
-        added = np.where(np.isfinite(bound), added, np.inf)
-        return ErrorStep(change, w, bound, rest, curvature, added.reshape(dim, -1))
+        added = np.array([space.at_end(model, 1).radius for model in w]) - before + rest
+        return ErrorStep(change, w, bound, rest, curvature, added, sharp)
 
     def _on_step(
         self,
@@ -165,6 +174,8 @@ class CarriedErrors:
     def _moved(self, left: np.ndarray, matrix: Matrix) -> np.ndarray:
         """Bounds on |left matrix B r|, shape (dim, columns, parts)."""
         dim = len(left)
+        if not self.radii.any():
+            return self.radii
         entries = np.array([[model.coefficients for model in row] for row in matrix])
         radius = np.array([[model.radius for model in row] for row in matrix])
         amounts = np.array([[model.amount() for model in row] for row in matrix])
@@ -178,8 +189,8 @@ class CarriedErrors:
 
     def after(
         self, models: StepModels, step: ErrorStep
-    ) -> tuple[CarriedErrors, np.ndarray, np.ndarray]:
-        """The columns after a step; and V and V_error of the derivatives on it."""
+    ) -> tuple[CarriedErrors, list[np.ndarray], list[np.ndarray]]:
+        """The columns after a step; and V and V_error of each of the derivatives on it."""
         dim, space = self.stepper.flow.dim, self.stepper.space
         with np.errstate(all="ignore"):  # infinite where there is no bound
             M, S = sizes(models.fundamental), sizes(models.adjoint)
@@ -219,8 +230,7 @@ class CarriedErrors:
             reach = np.einsum("ijc,jkc,kc->ic", M, S, step.bound) / step.bound
             if not reach.max() <= _LARGE:
                 found = found.reframed(models)
-            error = np.stack(V_error, axis=1)
-        return found, np.stack(V, axis=1), np.where(np.isfinite(error), error, np.inf)
+        return found, V, V_error
 
     def _forced(self, models: StepModels, step: ErrorStep) -> list[list[Model] | None]:
         """S f of the derivatives; None where it vanishes."""

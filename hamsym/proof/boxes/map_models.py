@@ -14,6 +14,7 @@ with |s_k| <= 1, and y_k = c_k + v_k with an exact number c_k and a model v_k.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from fractions import Fraction
 from functools import cached_property
@@ -31,6 +32,7 @@ from hamsym.proof.arithmetic.taylor_models import (
     Space,
     float_with_radius,
     multi_indices,
+    space_of,
 )
 
 _TABLE_BITS = 400  # the tables of Chebyshev polynomials cancel
@@ -94,6 +96,12 @@ class LegModels:
         self._leg, self._space, self._inputs = leg, space, inputs
         self._indices = multi_indices(space.inputs, space.degree)
         self._places = np.array([space.places[(0, *nu)] for nu in self._indices])
+        self._targets = np.array(
+            [
+                [space.places.get((a, *nu), -1) for nu in self._indices]
+                for a in range(1 + max(piece.columns.shape[1] for piece in leg.pieces))
+            ]
+        )
         self._readouts: tuple[int, np.ndarray, np.ndarray] | None = None
 
     @cached_property
@@ -101,7 +109,7 @@ class LegModels:
         """The numbers c, shape (d, cells), and the models v."""
         centres, rest = [], []
         for row, shift in zip(self._leg.scaling, self._leg.shift, strict=True):
-            y = _combined(row, self._inputs).plus(float(shift))
+            y = combined(row, self._inputs).plus(float(shift))
             centre = y.coefficients[0].copy()
             y.coefficients[0] = 0
             centres.append(centre)
@@ -116,15 +124,21 @@ class LegModels:
     @cached_property
     def _powers(self) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients of the products of powers of v, (products, n, cells), and their radii."""
-        cells = self._sizes.shape[1]
-        found = {self._indices[0]: self._space.constant(np.ones(cells))}
+        space = space_of(self._space.inputs, 1, self._space.degree)  # v is without time
+        places = [space.places[(0, *nu)] for nu in self._indices]
+        factors = []
+        for model in self._scaled[1]:
+            coefficients = np.zeros((space.count, len(model.radius)))
+            coefficients[places] = model.coefficients[self._places]
+            factors.append(Model(space, coefficients, model.radius))
+        found = {self._indices[0]: space.constant(np.ones(self._sizes.shape[1]))}
         for nu in self._indices[1:]:
             k = next(k for k, power in enumerate(nu) if power)
             lower = (*nu[:k], nu[k] - 1, *nu[k + 1 :])
-            found[nu] = found[lower] * self._scaled[1][k]
+            found[nu] = found[lower] * factors[k]
         models = [found[nu] for nu in self._indices]
         return (
-            np.array([model.coefficients[self._places] for model in models]),
+            np.array([model.coefficients[places] for model in models]),
             np.array([model.radius for model in models]),
         )
 
@@ -136,25 +150,15 @@ class LegModels:
             degrees.append(self._leg.start_degrees)
         most = max(int(array.max()) for array in degrees)
         centres, sizes = self._scaled[0], self._sizes
-        shape = (len(centres), most + 1, self._space.degree + 1, centres.shape[1])
-        found, radii = np.zeros(shape), np.zeros(shape)
-        sums = np.zeros((len(centres), most + 1, centres.shape[1]))
-        with working(_TABLE_BITS):
-            for k, cell in np.ndindex(centres.shape):
-                line = arb_poly([arb(float(centres[k, cell])), 1])
-                width = arb(float(sizes[k, cell]))
-                for n, polynomial in enumerate(_chebyshev(line, most)):
-                    entries = polynomial.coeffs()
-                    whole = arb_poly([abs(entry) for entry in entries])(width)
-                    value, radius = float_with_radius(whole)
-                    sums[k, n, cell] = sum_up(value + radius)
-                    for j, entry in enumerate(entries[: self._space.degree + 1]):
-                        found[k, n, j, cell] = value = float(entry.mid())
-                        known = entry.rad() < _ROUND_OFF
-                        radii[k, n, j, cell] = (
-                            2 * UNIT * abs(value) + 2 * _ROUND_OFF if known else np.inf
-                        )
-        return found, radii, sums
+        found = [
+            [_table(c, size, most, self._space.degree) for c, size in zip(*row, strict=True)]
+            for row in zip(centres.tolist(), sizes.tolist(), strict=True)
+        ]
+        tables, radii, sums = (
+            np.moveaxis(np.array([[cell[part] for cell in row] for row in found]), 1, -1)
+            for part in range(3)
+        )
+        return tables, radii, sums
 
     def _expansions(
         self, degrees: np.ndarray, readouts: np.ndarray
@@ -207,7 +211,7 @@ class LegModels:
         """z_a."""
         leg, found = self._leg, []
         for row, offset in zip(leg.selection, leg.offset, strict=True):
-            found.append(_combined(row, self._inputs).plus(float(offset)))
+            found.append(combined(row, self._inputs).plus(float(offset)))
         if not len(leg.start):
             return found
         values, radii = self._expansions(leg.start_degrees, leg.start)
@@ -232,20 +236,7 @@ class LegModels:
         edges = self._leg.edges
         low, high = (Fraction(float(edge)) for edge in edges[step.number : step.number + 2])
         terms = piece.columns.shape[1]
-        tables = np.zeros((2, terms, terms + 1, 2))
-        with working(_TABLE_BITS):
-            line = arb_poly(
-                [
-                    ball((2 * step.middle - low - high) / (high - low)),
-                    ball(2 * step.half / (high - low)),
-                ]
-            )
-            time = arb_poly([ball(step.middle), ball(step.half)])
-            for n, polynomial in enumerate(_chebyshev(line, terms - 1)):
-                product = polynomial * time
-                for place, entries in enumerate((product, product.derivative())):
-                    for a, entry in enumerate(entries.coeffs()):
-                        tables[place, n, a] = float_with_radius(entry)
+        tables = _table_in_time(terms, low, high, step.middle, step.half)
         found = []
         weights = np.abs(piece.columns)
         for table in tables:
@@ -264,20 +255,55 @@ class LegModels:
         amounts = sum_up(np.abs(psi[:, :, i]).sum(axis=1), most)
         spreads = sum_up(spread[:, :, i].sum(axis=1), most)
         coefficients = np.zeros((self._space.count, values.shape[2]))
-        left_out = np.zeros(values.shape[2])
-        for a in range(most):
-            for n, nu in enumerate(self._indices):
-                target = self._space.places.get((a, *nu))
-                if target is None:
-                    left_out += np.abs(full[a, n])
-                else:
-                    coefficients[target] = full[a, n]
+        targets = self._targets[:most]
+        inside = targets >= 0
+        coefficients[targets[inside]] = full[inside]
+        left_out = np.abs(full[~inside]).sum(axis=0)
         rest = (
             left_out
             + (amounts + spreads) @ radii
             + (spreads + 2 * (rank + 4) * UNIT * amounts) @ sizes
         )
         return Model(self._space, coefficients, sum_up(rest, rank + full[:, :, 0].size))
+
+
+@functools.lru_cache(maxsize=4_096)
+def _table(
+    centre: float, size: float, most: int, degree: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """b, (degrees, m_y + 1), its radii, and bounds on sum_j |b| |v|^j, for |v| up to a size."""
+    shape = most + 1, degree + 1
+    found, radii, sums = np.zeros(shape), np.zeros(shape), np.zeros(most + 1)
+    with working(_TABLE_BITS):
+        width = arb(size)
+        for n, polynomial in enumerate(_chebyshev(arb_poly([arb(centre), 1]), most)):
+            entries = polynomial.coeffs()
+            value, radius = float_with_radius(arb_poly([abs(entry) for entry in entries])(width))
+            sums[n] = sum_up(value + radius)
+            for j, entry in enumerate(entries[: degree + 1]):
+                found[n, j] = value = float(entry.mid())
+                known = entry.rad() < _ROUND_OFF
+                radii[n, j] = 2 * UNIT * abs(value) + 2 * _ROUND_OFF if known else np.inf
+    return found, radii, sums
+
+
+@functools.lru_cache(maxsize=1_024)
+def _table_in_time(
+    terms: int, low: Fraction, high: Fraction, middle: Fraction, half: Fraction
+) -> np.ndarray:
+    """Coefficients in tau of (t - t_a) T_n(time) and of its derivative, and their radii."""
+    tables = np.zeros((2, terms, terms + 1, 2))
+    with working(_TABLE_BITS):
+        line = arb_poly(
+            [ball((2 * middle - low - high) / (high - low)), ball(2 * half / (high - low))]
+        )
+        time = arb_poly([ball(middle), ball(half)])
+        for n, polynomial in enumerate(_chebyshev(line, terms - 1)):
+            product = polynomial * time
+            for place, entries in enumerate((product, product.derivative())):
+                for a, entry in enumerate(entries.coeffs()):
+                    tables[place, n, a] = float_with_radius(entry)
+    return tables
 
 
 def _lower_powers(sizes: np.ndarray, degree: int) -> np.ndarray:
@@ -288,7 +314,8 @@ def _lower_powers(sizes: np.ndarray, degree: int) -> np.ndarray:
     return np.stack(found, axis=1)
 
 
-def _combined(row: np.ndarray, models: list[Model]) -> Model:
+def combined(row: np.ndarray, models: list[Model]) -> Model:
+    """row @ models."""
     found = models[0].times(float(row[0]))
     for factor, model in zip(row[1:], models[1:], strict=True):
         if factor:

@@ -58,6 +58,8 @@ class Nodes:
         self._places, self._powers, self._terms = np.array(chosen).T
         self._count = space.count
         self._at_inputs = np.prod(self.inputs[:, None] ** space.exponents[None, :, 1:], axis=-1)
+        self._without_time = np.flatnonzero(space.exponents[:, 0] == 0)
+        self._at_start = self._at_inputs[:, self._without_time]
         self._at_times = self.times[:, None] ** space.exponents[None, :, 0]
 
     def polynomial(self, values: np.ndarray) -> np.ndarray:
@@ -76,7 +78,7 @@ class Nodes:
 
     def start_values(self, coefficients: np.ndarray) -> np.ndarray:
         """Values of polynomials without time, shape (cells, inputs)."""
-        return (self._at_inputs @ coefficients).T
+        return (self._at_start @ coefficients[self._without_time]).T
 
 
 def _to_powers(degree: int) -> np.ndarray:

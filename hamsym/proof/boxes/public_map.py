@@ -8,54 +8,46 @@ from typing import Any
 
 import numpy as np
 
-from hamsym.flow_maps.expansion import Leg
+from hamsym.flow_maps.expansion import Chain, Leg, Split
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.proof.arithmetic.directed import UNIT
-from hamsym.proof.arithmetic.taylor_models import Model, Space, space_of
+from hamsym.proof.arithmetic.taylor_models import Model, Parts, Space, space_of
 from hamsym.proof.boxes.map_models import LegModels, Step, affine_models
 from hamsym.proof.public_check import ROOM, require_same
 
-_PIECES, _STARTS, _REGIONS = 8, 4, 8  # of a flow map
+_PIECES, _STARTS, _CELLS = 8, 4, 8  # of a leg, of a cell, and of a flow map
 
 
-def check_map(flow: FlowMap, regions: Sequence[tuple[Any, ...]]) -> None:
+def check_map(flow: FlowMap, cells: Sequence[Any]) -> None:
     """Require that a flow map evaluates the function that :class:`LegModels` enclose.
 
-    - regions: Parts of the box with one sequence of legs each: legs, joints, kept inputs,
-      intervals.
+    - cells: Of the box, on which the map was proven.
 
     Raises
     ------
     CertificationError
     """
-    random = np.random.default_rng(len(regions))
-    chosen = np.unique(np.linspace(0, len(regions) - 1, _REGIONS).astype(int)).tolist()
-    times, inputs, found, allowed = [], [], [], []
-    for number in chosen:
-        legs, joints, kept, box = regions[number]
-        starts = _starts(flow, box, random)
-        for time, values, bounds in _along(flow, legs, joints, kept, starts, random):
-            times.append(np.full(len(starts), time))
-            inputs.append(starts)
-            found.append(values)
-            allowed.append(bounds)
-    t, z0 = np.concatenate(times), np.concatenate(inputs)
-    columns = dict(zip(flow.inputs, z0.T, strict=True))
+    random = np.random.default_rng(len(cells))
+    chosen = np.unique(np.linspace(0, len(cells) - 1, _CELLS).astype(int)).tolist()
+    z0 = np.concatenate([_starts(flow, cells[number], random) for number in chosen])
+    found = list(_along(flow, z0, random))
+    t, rows = (np.concatenate([each[place] for each in found]) for place in (0, 1))
+    columns = dict(zip(flow.inputs, z0[rows].T, strict=True))
     components = {name: columns[name] for name in flow.region.components}
     parameters = {name: columns[name] for name in flow.region.parameters}
     require_same(
         "flow map",
         flow.H.names,
         flow(t, components, parameters),
-        np.concatenate(found, axis=1),
-        np.concatenate(allowed, axis=1),
-        lambda n: f"t = {float(t[n])!r} from {flow.region.described(z0[n])}",
+        np.concatenate([each[2] for each in found], axis=1),
+        np.concatenate([each[3] for each in found], axis=1),
+        lambda n: f"t = {float(t[n])!r} from {flow.region.described(z0[rows[n]])}",
     )
 
 
-def _starts(flow: FlowMap, box: Sequence[Any], random: np.random.Generator) -> np.ndarray:
-    """Random inputs of a region, and one at a corner of the box that the region has."""
-    low, high = np.array([[float(end) for end in interval] for interval in box]).T
+def _starts(flow: FlowMap, cell: Sequence[Any], random: np.random.Generator) -> np.ndarray:
+    """Random inputs of a cell, and one at a corner of the box that the cell has."""
+    low, high = np.array([[float(end) for end in interval] for interval in cell]).T
     found = low + (high - low) * random.uniform(0.001, 0.999, (_STARTS, len(low)))
     # Where a box is split, the maps of both sides are proven, but one of them is evaluated.
     found[0] = np.where(
@@ -65,36 +57,34 @@ def _starts(flow: FlowMap, box: Sequence[Any], random: np.random.Generator) -> n
 
 
 def _along(
-    flow: FlowMap,
-    legs: Sequence[Leg],
-    joints: Sequence[float],
-    kept: Sequence[int],
-    starts: np.ndarray,
-    random: np.random.Generator,
-) -> Iterator[tuple[float, np.ndarray, np.ndarray]]:
-    """Times in pieces of legs, with the states there and bounds on roundings, (2, n, dim)."""
-    space = space_of(starts.shape[1], 1, 1)
+    flow: FlowMap, starts: np.ndarray, random: np.random.Generator
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """Times in pieces of legs, numbers of starts, states there and bounds on roundings."""
+    space, rows = space_of(starts.shape[1], 1, 1), np.arange(len(starts))
     points = [tuple((Fraction(v), Fraction(v)) for v in row) for row in starts.tolist()]
-    given = affine_models(space, points)
-    columns = list(kept)
-    part = _LegAtPoints(legs[0], space, given, starts, np.zeros(starts.shape))
-    first, count = 0, sum(len(leg.pieces) for leg in legs)
-    chosen = {*np.linspace(0, count - 1, _PIECES).astype(int).tolist()}
-    for number, end in enumerate([*joints, float(flow.span[1])]):
-        pieces = len(part.leg.pieces)
-        for k in range(pieces):
-            if first + k in chosen:
-                yield from part.compared(k, end, random)
-        first += pieces
-        if number < len(joints):
-            states, values, errors = part.at(pieces - 1, end)
-            part = _LegAtPoints(
-                legs[number + 1],
-                space,
-                [*states, *(given[column] for column in columns)],
-                np.concatenate((values, starts[:, columns]), axis=1),
-                np.concatenate((errors, np.zeros((len(starts), len(columns)))), axis=1),
-            )
+    first, dim = [(flow.map, float(flow.span[1]))], flow.H.dim
+    waiting = [(first, rows, affine_models(space, points), starts, np.zeros(starts.shape))]
+    while waiting:
+        ((part, end), *later), rows, given, values, errors = waiting.pop()
+        if isinstance(part, Chain):
+            parts = [*zip(part.maps, [*map(float, part.joints), end], strict=True), *later]
+            waiting.append((parts, rows, given, values, errors))
+        elif isinstance(part, Split):
+            for side, own in zip((part.low, part.high), part.sides(values), strict=False):
+                models = [space.parts_of(model, Parts.chosen(own)) for model in given]
+                if len(own):
+                    parts = [(side, end), *later]
+                    waiting.append((parts, rows[own], models, values[own], errors[own]))
+        else:
+            leg, count = _LegAtPoints(part, space, given, values, errors), len(part.pieces)
+            for k in np.unique(np.linspace(0, count - 1, _PIECES).astype(int)).tolist():
+                for time, states, bounds in leg.compared(k, end, random):
+                    yield np.full(len(rows), time), rows, states, bounds
+            if later:
+                models, states, bounds = leg.at(count - 1, end)
+                values = np.concatenate((states, values[:, dim:]), axis=1)
+                errors = np.concatenate((bounds, errors[:, dim:]), axis=1)
+                waiting.append((later, rows, [*models, *given[dim:]], values, errors))
 
 
 class _LegAtPoints:

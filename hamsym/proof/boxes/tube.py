@@ -166,11 +166,17 @@ def sizes(matrix: list[list[Model]]) -> np.ndarray:
 
 
 class Stepper:
-    """Models on steps of the time."""
+    """Models on steps of the time.
+
+    - space: Of all models but those from which the defect is made, which may have higher degrees.
+    """
 
     def __init__(self, flow: Flow, space: Space) -> None:
         self.flow, self.space = flow, space
-        self.nodes = Nodes(space, _TIMES, space.degree - 1)
+        self.nodes = Nodes(space, min(_TIMES, space.time_degree), space.degree - 1)
+
+    def lowered(self, models: Sequence[Model]) -> list[Model]:
+        return [model.space.lowered(model, self.space) for model in models]
 
     def first(self, cells: int) -> Matrix:
         """M at the start of the map."""
@@ -198,10 +204,14 @@ class Stepper:
             half, _ = float_with_radius(ball(step.half))
             inverse, inverse_spread = float_with_radius(1 / ball(step.half))
         field = flow.field(arguments)
-        defect = [
-            rate.times(inverse, inverse_spread) - value
-            for rate, value in zip(rates, field, strict=True)
-        ]
+        defect = self.lowered(
+            [
+                rate.times(inverse, inverse_spread) - value
+                for rate, value in zip(rates, field, strict=True)
+            ]
+        )
+        arguments = self.lowered(arguments)
+        states = arguments[: flow.dim]
         jacobian = flow.jacobian(arguments)
         found = self._fundamental(jacobian, half, before)
         dim = flow.dim
@@ -260,10 +270,11 @@ class Stepper:
     ) -> np.ndarray:
         """M at the nodes, by collocation, shape (cells, inputs, times, dim, dim)."""
         dim, nodes = self.flow.dim, self.nodes
+        times = len(nodes.times) - 1
         starts = [[nodes.start_values(entry.coefficients) for entry in row] for row in before]
         matrices = np.moveaxis(np.array(starts), (0, 1), (2, 3))
         cells = len(matrices)
-        A = np.zeros((cells, nodes.count, _TIMES + 1, dim, dim))
+        A = np.zeros((cells, nodes.count, times + 1, dim, dim))
         for i, row in enumerate(jacobian):
             for j, entry in enumerate(row):
                 if entry is not None:
@@ -271,64 +282,16 @@ class Stepper:
         A = np.where(np.isfinite(A), A, 0.0)
         D = nodes.rates
         system = np.broadcast_to(
-            np.kron(D[1:, 1:], np.eye(dim)), (cells, nodes.count, _TIMES * dim, _TIMES * dim)
+            np.kron(D[1:, 1:], np.eye(dim)), (cells, nodes.count, times * dim, times * dim)
         ).copy()
-        for k in range(_TIMES):
+        for k in range(times):
             part = slice(k * dim, (k + 1) * dim)
             system[..., part, part] -= half * A[:, :, k + 1]
         right = -np.einsum("k,cnij->cnkij", D[1:, 0], matrices).reshape(
-            cells, nodes.count, _TIMES * dim, dim
+            cells, nodes.count, times * dim, dim
         )
-        found = np.linalg.solve(system, right).reshape(cells, nodes.count, _TIMES, dim, dim)
+        found = np.linalg.solve(system, right).reshape(cells, nodes.count, times, dim, dim)
         return np.concatenate((matrices[:, :, None], found), axis=2)
-
-
-class Tube:
-    """Bounds on the error of the map from step to step, for many cells at once.
-
-    - bound: Largest bound so far, shape (dim, cells); infinite where there is none.
-    - sharp: What it would be without second order and radii, not a proven number.
-    """
-
-    def __init__(self, stepper: Stepper, start: list[Model]) -> None:
-        self._stepper, self._flow, self._space = stepper, stepper.flow, stepper.space
-        cells = len(start[0].radius)
-        dim = self._flow.dim
-        self.bound, self.sharp = np.zeros((dim, cells)), np.zeros((dim, cells))
-        self._jump: list[Model] | None = start
-        self._w = [self._space.constant(np.zeros(cells)) for _ in range(dim)]
-        self._last: list[list[Model]] | None = None
-        self._present = np.zeros((dim, cells))  # bound on the last step
-
-    def jump(self, difference: list[Model]) -> None:
-        """The map changes by a difference."""
-        self._jump = difference
-
-    def advance(self, models: StepModels) -> None:
-        """Bound the error on the next step."""
-        space, dim = self._space, self._flow.dim
-        starts = [[space.at_end(entry, -1) for entry in row] for row in models.adjoint]
-        for i in range(dim):
-            if self._jump is not None:
-                extra = [starts[i][j] * self._jump[j] for j in range(dim)]
-                self._w[i] = total([self._w[i], *extra])
-            if self._last is not None:
-                change = np.array([(starts[i][j] - self._last[i][j]).largest() for j in range(dim)])
-                self._w[i] = self._w[i].widened(sum_up((change * self._present).sum(axis=0), dim))
-        self._jump = None
-        with working(BITS):
-            half = float_with_radius(ball(models.step.half))
-        w = []
-        for i in range(dim):
-            w.append(self._w[i] + space.integral(models.forced[i]).times(*half))
-        main = [total([models.fundamental[i][j] * w[j] for j in range(dim)]) for i in range(dim)]
-        linear = np.array([entry.largest() for entry in main])
-        bound, left, _ = kept_bound(self._flow, models, linear)
-        self.bound = np.where(np.isfinite(bound), np.maximum(self.bound, bound), np.inf)
-        self.sharp = np.maximum(self.sharp, [entry.polynomial().largest() for entry in main])
-        self._present = bound
-        self._w = [space.at_end(w[i], 1).widened(left[i]) for i in range(dim)]
-        self._last = [[space.at_end(entry, 1) for entry in row] for row in models.adjoint]
 
 
 def kept_bound(

@@ -311,7 +311,8 @@ class WideSet:
         M, S = sizes(models.fundamental), sizes(models.adjoint)
         # What a component has no own extent for may be the share of another one.
         reach = np.einsum("ijc,jkc,kc->ic", M, S, allowed)
-        ratio = errors.added / (allowed + _COUPLED * reach + _TINY)
+        added = np.einsum("ijc,jc->ic", M, errors.added)
+        ratio = added / (allowed + _COUPLED * reach + _TINY)
         ratio = np.where(np.isfinite(errors.bound), ratio, np.inf).max(axis=0)
         ratio = np.where(np.isnan(ratio), np.inf, ratio)
         return _Candidate(models, errors, extent, ratio), tail
@@ -358,6 +359,7 @@ class WideSet:
         """The window, from whose end the next one goes on."""
         space, models = self._space, found.models
         self._errors, V, V_error = self._errors.after(models, found.errors)
+        distance = np.stack(V_error, axis=1)
         window = SetWindow(
             self.elapsed,
             length / 2,
@@ -366,8 +368,8 @@ class WideSet:
             space.degree,
             np.array([model.coefficients for model in models.states]),
             found.errors.bound,
-            V,
-            V_error,
+            np.stack(V, axis=1),
+            np.where(np.isfinite(distance), distance, np.inf),
         )
         self._states = [space.at_end(model, 1) for model in models.states]
         self._extent = np.maximum(self._extent, found.extent)
