@@ -60,9 +60,9 @@ def certify(file: str, output: str | None, rows: int | None, **options: Any) -> 
 def verify(file: str, certificate: str | None, time_limit: float | None, checker: str) -> Report:
     """Repeat the proof of a certificate from the saved solution or flow map.
 
-    Exit 1 if a bound of the certificate is not proven. The independent checker covers solutions
-    and periodic orbits, except their uniqueness; it parses H itself and works in ball arithmetic,
-    in two to fifty times the time of certify.
+    Exit 1 if a bound of the certificate is not proven. The independent checker covers solutions,
+    flow maps of one leg and periodic orbits, except their uniqueness; it parses H itself and works
+    in ball arithmetic, in two to fifty times the time of certify.
     """
     from hamsym.archive import read_certificate
     from hamsym.orbits.certificate import OrbitCertificate

@@ -7,7 +7,7 @@ Python's own, exactly, and what it refuses becomes a CertificationError.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from typing import Any
@@ -16,9 +16,13 @@ import numpy as np
 
 import hamsym
 from hamsym.errors import CertificationError
+from hamsym.flow_maps.expansion import Leg, Split
+from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.problems.description import described, described_formula
+from hamsym.proof.boxes.box_certificate import BoxCertificate
 from hamsym.proof.checker.equilibria import check_equilibrium
+from hamsym.proof.checker.flow_maps import check_flow_map
 from hamsym.proof.checker.formulas import NotProvenError
 from hamsym.proof.checker.invariants import check_invariant
 from hamsym.proof.checker.orbits import check_orbit
@@ -87,6 +91,49 @@ def _orbit_data(orbit: hamsym.PeriodicOrbit) -> dict[str, Any]:
         "ends": arc.ends.tolist(),
         "sizes": arc.scale.tolist(),
     }
+
+
+def verify_flow_map(
+    claims: BoxCertificate, flow: FlowMap, check_time: Callable[[str], None]
+) -> None:
+    """Prove a certificate of a flow map again by the independent checker."""
+    with refusals():
+        check_flow_map(
+            described(flow.H),
+            _flow_data(flow),
+            json.loads(claims.to_json()),
+            lambda: check_time("the independent checker ran"),
+        )
+
+
+def _flow_data(flow: FlowMap) -> dict[str, Any]:
+    region, names = flow.region, flow.H.names
+    curves = {name: described_formula(expr, names) for name, expr in region.formulas.items()}
+    return {
+        "span": [float(time) for time in flow.span],
+        "inputs": [*flow.inputs],
+        "fixed": {name: float(value) for name, value in region.fixed.items()},
+        "expressions": curves,
+        "map": _map_data(flow.map),
+    }
+
+
+_ARRAYS = ("edges", "scaling", "shift", "selection", "offset", "start_degrees", "start")
+
+
+def _map_data(map: Any) -> dict[str, Any]:
+    if isinstance(map, Split):
+        sides = {"low": _map_data(map.low), "high": _map_data(map.high)}
+        plane = {"normal": map.normal.tolist(), "threshold": float(map.threshold)}
+        return {"kind": "split"} | plane | sides
+    if isinstance(map, Leg):
+        pieces = [_arrays(piece, ("degrees", "readouts", "columns")) for piece in map.pieces]
+        return {"kind": "leg", "begin": float(map.begin), "pieces": pieces} | _arrays(map, _ARRAYS)
+    return {"kind": "chain"}
+
+
+def _arrays(part: Any, names: Sequence[str]) -> dict[str, Any]:
+    return {name: np.asarray(getattr(part, name)).tolist() for name in names}
 
 
 def verify_equilibrium(found: hamsym.Equilibrium, H: Hamiltonian) -> None:

@@ -27,6 +27,7 @@ from hamsym.proof.boxes.box_certificate import BoxCertificate, map_digest
 from hamsym.proof.boxes.box_proof import certify_box, proven_bound
 from hamsym.proof.independent import (
     verify_equilibrium,
+    verify_flow_map,
     verify_invariant,
     verify_orbit,
     verify_solution,
@@ -250,10 +251,11 @@ def verify(
         exact solution by another lemma in ball arithmetic, and proves the very numbers of the
         certificate, in two to fifty times the time of certify; ten times the default limit is
         allowed.
-        It covers certificates of solutions, and of periodic orbits of an H without explicit time
-        and without further integrals, except ``unique_within``; and beside certificates an
-        equilibrium that :func:`hamsym.equilibria` found (its ball, its type and its stability, not
-        that a list is complete) and an invariant, each with its Hamiltonian as the result.
+        It covers certificates of solutions; of flow maps with one leg or split across inputs; of
+        periodic orbits of an H without explicit time and without further integrals, except
+        ``unique_within``; and beside certificates an equilibrium that :func:`hamsym.equilibria`
+        found (its ball, its type and its stability, not that a list is complete) and an invariant,
+        each with its Hamiltonian as the result.
 
     Raises
     ------
@@ -280,10 +282,10 @@ def verify(
         raise InputError(
             f"certificate must be a certificate or its text, not {type(certificate).__name__}"
         )
-    if independent and not isinstance(certificate, (Certificate, hamsym.OrbitCertificate)):
+    if independent and isinstance(certificate, hamsym.SectionCertificate):
         raise InputError(
-            'checker="independent" covers certificates of solutions and orbits, equilibria and '
-            'invariants, not those of flow maps and sections; give checker="kernel" for these'
+            'checker="independent" covers certificates of solutions, flow maps and orbits, '
+            'equilibria and invariants, not those of sections; give checker="kernel" for these'
         )
     if isinstance(certificate, Certificate):
         solution = _of_kind(Solution, result)
@@ -291,7 +293,12 @@ def verify(
         check_solution(solution)
     elif isinstance(certificate, BoxCertificate):
         flow = _of_kind(FlowMap, result)
-        verify_box(certificate, flow, _deadline(time_limit, certificate.seconds))
+        deadline = _deadline(time_limit, certificate.seconds, 10.0 if independent else 1.0)
+        _require_form_of_box(certificate, flow)
+        if independent:
+            verify_flow_map(certificate, flow, deadline.check)
+        else:
+            _verify_box(certificate, flow, deadline)
     elif isinstance(certificate, hamsym.SectionCertificate):
         certificate.verify(_of_kind(hamsym.Section, result))
     else:
@@ -355,8 +362,8 @@ def _deadline(time_limit: float | None, seconds: float, factor: float = 1.0) -> 
     )
 
 
-def verify_box(claims: BoxCertificate, flow: FlowMap, deadline: Deadline) -> None:
-    """Prove a certificate of a flow map again; see :func:`hamsym.verify`."""
+def _require_form_of_box(claims: BoxCertificate, flow: FlowMap) -> None:
+    """Raise CertificationError unless a certificate is one about a flow map."""
     try:
         checked = BoxCertificate.from_json(claims.to_json())
     except (FileError, ValueError, TypeError) as error:
@@ -385,6 +392,10 @@ def verify_box(claims: BoxCertificate, flow: FlowMap, deadline: Deadline) -> Non
                 f"the certificate claims {name} from {claims.box[name][0]!r} to "
                 f"{claims.box[name][1]!r}, outside the box of the flow map"
             )
+
+
+def _verify_box(claims: BoxCertificate, flow: FlowMap, deadline: Deadline) -> None:
+    """Prove a certificate of a flow map again; see :func:`hamsym.verify`."""
     parts = max(_MOST_PARTS[0], min(claims.parts, _MOST_PARTS[1]))
     _, bound, _ = proven_bound(flow, claims.box, deadline, parts)
     proven = bound <= np.array(claims.bound)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ast
+import copy
 import dataclasses
 import json
+import math
 import subprocess
 import sys
 from fractions import Fraction
@@ -18,14 +20,17 @@ from flint import acb, arb, arb_series, ctx
 
 import hamsym
 from hamsym.errors import CertificationError, InputError
+from hamsym.flow_maps.expansion import Chain, Split
 from hamsym.problems.description import described
 from hamsym.proof import checker as package
 from hamsym.proof.checker import guesses
+from hamsym.proof.checker.flow_maps import check_flow_map
 from hamsym.proof.checker.formulas import Formulas, NotProvenError
-from hamsym.proof.checker.functions import Equations, Polynomial, expanded
+from hamsym.proof.checker.functions import Equations, Polynomial, coefficients, expanded
 from hamsym.proof.checker.motion import Step, steps
+from hamsym.proof.checker.series import Series, exponents, term
 from hamsym.proof.checker.solutions import check_solution
-from hamsym.proof.independent import _trial_data
+from hamsym.proof.independent import _flow_data, _trial_data, verify_flow_map
 
 FOLDER = Path(package.__file__).parent
 QUARTIC = "p**2/2 + x**2/2 + x**4/4"
@@ -77,9 +82,16 @@ class Blocked(importlib.abc.MetaPathFinder):
         if first == "hamsym" and not (name in ours or name.startswith("hamsym.proof.checker.")):
             raise ImportError(name)
 sys.meta_path.insert(0, Blocked())
+from hamsym.proof.checker.flow_maps import check_flow_map
 from hamsym.proof.checker.formulas import NotProvenError
 from hamsym.proof.checker.solutions import check_solution
-data = json.load(sys.stdin)
+data, flow = json.load(sys.stdin)
+check_flow_map(**flow, check_time=lambda: None)
+flow["claims"]["bound"][0] = 0
+try:
+    check_flow_map(**flow, check_time=lambda: None)
+except NotProvenError as error:
+    print(error)
 check_solution(**data, check_time=lambda: None)
 data["claims"]["bound"] = 0.97 * float(data["claims"]["bound"])
 try:
@@ -90,10 +102,14 @@ except NotProvenError as error:
 
 
 def test_it_runs_where_nothing_else_of_hamsym_can_be_imported(case):
-    text = json.dumps(data_of(*case))
+    flow = hamsym.flow_map("p**2/2 + x**2/2", {"x": (1, 1.1), "p": 0}, (0, 0.3), tol=1e-6)
+    claims = json.loads(flow.certify().to_json())
+    data = {"H": described(flow.H), "flow": _flow_data(flow), "claims": claims}
+    text = json.dumps([data_of(*case), data])
     found = subprocess.run(
         [sys.executable, "-c", ALONE], input=text, capture_output=True, text=True, check=True
     )
+    assert "in a small part of the box" in found.stdout
     assert "its claim about the norm is" in found.stdout
 
 
@@ -360,13 +376,105 @@ def test_an_invariant_for_some_values_is_none_for_others():
             hamsym.verify(other, H, checker="independent")
 
 
+# -- flow maps ------------------------------------------------------------------------------------
+
+HENON = "(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2 + x**2*y - y**3/3"
+KEPLER = "(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)"
+ECCENTRIC = {"x": "1 - e", "y": 0, "p_x": 0, "p_y": "sqrt((1 + e)/(1 - e))"}
+FLOWS = {
+    "oscillator": lambda: hamsym.flow_map(
+        "p**2/2 + x**2/2", {"x": (1, 2), "p": (-1, 1)}, (0, 1), tol=1e-8
+    ),
+    "pendulum": lambda: hamsym.flow_map(
+        "p**2/2 - cos(x)", {"x": (0.5, 0.7), "p": (-0.2, 0.2)}, (0, 2), tol=1e-6
+    ),
+    "quartic": lambda: hamsym.flow_map(QUARTIC, {"x": (1.29, 1.31), "p": (0.99, 1.01)}, (0, 1)),
+    "henon": lambda: hamsym.flow_map(
+        HENON, dict.fromkeys(("x", "y", "p_x", "p_y"), (0.1, 0.11)), (0, 0.5), tol=1e-6
+    ),
+    "parameter": lambda: hamsym.flow_map(
+        "p**2/2 - k*cos(x)", {"x": (1, 1.1), "p": 0}, (0, 1), {"k": (0.5, 0.7)}, tol=1e-6
+    ),
+    "driven": lambda: hamsym.flow_map(
+        "p**2/2 - cos(x) - x*sin(t)", {"x": (0, 0.1), "p": 0}, (1, 0)
+    ),
+    "forces": lambda: hamsym.flow_map(
+        hamsym.Hamiltonian("p**2/2 + x**2/2", forces={"p": "(1 - x**2)*p"}),
+        {"x": (1, 1.1), "p": 0.3}, (0, 0.5), tol=1e-6,
+    ),
+    "expressions": lambda: hamsym.flow_map(
+        KEPLER, ECCENTRIC, (0, 0.5), {"e": (0.1, 0.12)}, tol=1e-7
+    ),
+    "functions": lambda: hamsym.flow_map(
+        "p**2/2 + log(1 + x**2) + tanh(x)*atan(x) + asin(x/3) + exp(-x) + erf(x) + sqrt(2 + x)",
+        {"x": (0.3, 0.4), "p": 1}, (0, 0.4), tol=1e-6,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.slow_cases(*(name for name in FLOWS if name not in ("oscillator", "driven")))
+@pytest.mark.parametrize("name", FLOWS)
+def test_flow_maps_are_verified(name):
+    flow = FLOWS[name]()
+    certificate = flow.certify()
+    hamsym.verify(certificate.to_json(), flow, checker="independent")
+    bounds = [1e-4 * bound for bound in certificate.bound]
+    forged = json.loads(certificate.to_json()) | {"bound": bounds}
+    with pytest.raises(NotProvenError) as refusal:
+        check_flow_map(described(flow.H), _flow_data(flow), forged, lambda: None)
+    assert "another form" not in str(refusal.value)
+
+
+def test_splits_are_verified_on_both_sides():
+    flow = FLOWS["oscillator"]()
+    certificate, other = flow.certify(), copy.deepcopy(flow.map)
+    other.offset = other.offset + 1e-6
+    for normal, threshold in (([-2.0, 0.0], -3.0), ([0.0, 1.0], 0.25)):
+        for low, high in ((flow.map, flow.map), (other, flow.map), (flow.map, other)):
+            split = Split(np.array(normal), threshold, low, high)
+            halves = dataclasses.replace(flow, map=split)
+            if low is high:
+                verify_flow_map(certificate, halves, lambda _: None)
+                continue
+            with pytest.raises(CertificationError, match="is false"):
+                verify_flow_map(certificate, halves, lambda _: None)
+
+
+@pytest.mark.parametrize("text", FUNCTIONS)
+def test_series_in_inputs_are_those_of_sympy(text):
+    """Up to degree 4 in two inputs, about a series in x."""
+    u, v, x = sympy.symbols("u v x", real=True)
+    expr = hamsym.formula.parser.parse_expression(text)
+    formulas = Formulas(["x"], {})
+    with ctx.workprec(200):
+        ctx.cap = 3
+        start = arb_series([arb(7) / 8, 1], 3)
+        inputs = Series.line(2, 4, start, {0: arb(1) / 4, 1: arb_series([2, 1], 3)})
+        (found,) = formulas.program([formulas.parse(text)])([inputs])
+        inner = sympy.Rational(7, 8) + x + u / 4 + (2 + x) * v
+        whole = expr.subs(next(iter(expr.free_symbols)), inner)
+        for key, nu in exponents(2, 4).items():
+            if sum(nu) in (1, 3, 4):
+                continue
+            for k in range(3 if sum(nu) == 0 else 2):
+                true = whole.diff(u, nu[0], v, nu[1], x, k).subs({u: 0, v: 0, x: 0}).evalf(50)
+                factor = math.prod(map(math.factorial, (*nu, k)))
+                own = coefficients(term(found, key), 3)[k]
+                assert abs(own - arb(str(true)) / factor) < 1e-35 * (1 + abs(own))
+                assert own.rad() < 1e-35 * (1 + abs(own))
+
+
 # -- other arguments ------------------------------------------------------------------------------
 
 
 def test_what_is_not_covered_is_said():
     flow = hamsym.flow_map("p**2/2 + x**2/2", {"x": (1, 1.1), "p": 0}, (0, 0.3), tol=1e-6)
-    with pytest.raises(InputError, match="not those of flow maps and sections"):
-        hamsym.verify(flow.certify(), flow, checker="independent")
+    legs = Chain([flow.map, flow.map], np.array([0.1]), np.array([], dtype=int))
+    plane = Split(np.array([1.0, 1.0]), 0.0, flow.map, flow.map)
+    certificate = flow.certify()
+    for map in (legs, plane):
+        with pytest.raises(CertificationError, match="several legs, or is split along a slanted"):
+            verify_flow_map(certificate, dataclasses.replace(flow, map=map), lambda _: None)
 
 
 def test_unknown_checkers_are_refused(case):

@@ -18,15 +18,18 @@ import sympy
 
 import hamsym
 from hamsym.errors import CertificationError, FileError
+from hamsym.flow_maps.compiled_piece import CompiledPiece
 from hamsym.orbits.certificate import statement_of
 from hamsym.problems.description import described, described_formula
 from hamsym.proof.arithmetic.ball import Ball
+from hamsym.proof.boxes.box_certificate import map_digest
 from hamsym.proof.checker.equilibria import check_equilibrium
+from hamsym.proof.checker.flow_maps import check_flow_map
 from hamsym.proof.checker.formulas import NotProvenError
 from hamsym.proof.checker.invariants import check_invariant
 from hamsym.proof.checker.orbits import _Orbit, check_orbit
 from hamsym.proof.checker.solutions import check_solution
-from hamsym.proof.independent import _orbit_data
+from hamsym.proof.independent import _flow_data, _orbit_data
 from hamsym.solution.digest import digest
 from hamsym.support.sealed_text import sealed
 from tests.proof.test_checker import EQUILIBRIA, INVARIANTS, QUARTIC, data_of, enclosed_equilibria
@@ -272,26 +275,26 @@ def assert_orbits_are_refused(name, monkeypatch, every=1):
 # -- flow maps ------------------------------------------------------------------------------------
 
 
-def test_forged_flow_maps_are_refused():
-    """By the program that proves them; the independent checker does not cover them."""
+@pytest.fixture(scope="module")
+def flow():
+    """A flow map with its certificate, and its largest errors at some of its starts."""
     flow = hamsym.flow_map(
         "p**2/2 + k*x**2/2", {"x": (1, 1.1), "p": 0}, (0, 1), {"k": (0.5, 1.5)}, tol=1e-6
     )
-    certificate = flow.certify()
-    hamsym.verify(certificate, flow)
     t, k = (part.ravel() for part in np.meshgrid(np.linspace(0, 1, 40), np.linspace(0.5, 1.5, 40)))
     w = np.sqrt(k)
     true = 1.1 * np.array([np.cos(w * t), -w * np.sin(w * t)]).T
     errors = np.abs(flow(t, {"x": 1.1}, {"k": k}) - true).max(axis=0)
-    assert (errors < certificate.bound).all()
-    assert (errors > 1e-10).all()  # and not of round-off
-    forged = []
+    return flow, flow.certify(), errors
+
+
+def forged_flow_maps(certificate, errors):
     for i in range(2):
-        for value in (0.99 * errors[i], 1e-3 * errors[i], 0.0, -1.0, np.nan):
+        for value in (0.99 * errors[i], 0.5 * errors[i], 1e-3 * errors[i], 0.0, -1.0, np.nan):
             bound = [*certificate.bound]
             bound[i] = float(value)
-            forged.append({"bound": tuple(bound)})
-    forged += [
+            yield {"bound": tuple(bound)}
+    yield from [
         {"bound": certificate.bound[::-1]}, {"bound": certificate.bound[:1]},
         {"box": {"x": (1.0, 1.2), "k": (0.5, 1.5)}}, {"box": {"x": (1.0, 1.1), "k": (0.4, 1.5)}},
         {"box": {"x": (1.1, 1.0), "k": (0.5, 1.5)}}, {"box": {"x": (1.0, 1.1)}},
@@ -299,13 +302,120 @@ def test_forged_flow_maps_are_refused():
         {"formula": "p**2/2 + k*x**2"}, {"fixed": {"p": 1.0}}, {"components": ("p", "x")},
         {"expressions": {"p": "k"}}, {"digest": "0" * 64}, {"parts": -1},
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("every", [5, pytest.param(1, marks=pytest.mark.slow)])
+def test_forged_flow_maps_are_refused(flow, every):
+    flow, certificate, errors = flow
+    assert agreed(certificate, flow)
+    assert (errors < certificate.bound).all()
+    assert (errors > 1e-10).all()  # and not of round-off
     assert certificate.bound[0] < errors[1]  # so that the swapped bounds are false
-    for claims in forged:
-        with pytest.raises((CertificationError, FileError)):
-            hamsym.verify(dataclasses.replace(certificate, **claims), flow)
+    for claims in [*forged_flow_maps(certificate, errors)][::every]:
+        assert not agreed(dataclasses.replace(certificate, **claims), flow), claims
     other = dataclasses.replace(flow, span=(0.0, 0.9))
-    with pytest.raises(CertificationError, match="SHA-256"):
-        hamsym.verify(certificate, other)
+    for checker in CHECKERS:
+        with pytest.raises(CertificationError, match="SHA-256"):
+            hamsym.verify(certificate, other, checker=checker)
+
+
+@pytest.mark.slow
+def test_claims_about_flow_maps_are_checked_by_the_proof_too(flow):
+    """The checker itself refuses forgeries, not only the check of their form before it."""
+    flow, certificate, errors = flow
+    H, data, whole = described(flow.H), _flow_data(flow), json.loads(certificate.to_json())
+    check_flow_map(H, data, whole, lambda: None)
+    wider = {"x": [1.0, 1.1], "k": [0.5, 3.0]}
+    for claims in [*forged_flow_maps(certificate, errors), {"box": wider}]:
+        if {"bound", "box"} & claims.keys() and claims != {
+            "box": {"x": (1.0, 1.2), "k": (0.5, 1.5)}
+        }:
+            with pytest.raises(NotProvenError):
+                check_flow_map(H, data, whole | claims, lambda: None)
+
+
+def of_leg(change):
+    """Other numbers of a leg."""
+
+    def changed(flow):
+        leg = copy.deepcopy(flow.map)
+        change(leg)
+        return {"map": leg}
+
+    return changed
+
+
+def piece(number, **factors):
+    """A piece whose arrays are multiplied."""
+
+    def change(leg):
+        own = leg.pieces[number]
+        arrays = {name: getattr(own, name) for name in ("degrees", "readouts", "columns")}
+        arrays |= {name: factor * arrays[name] for name, factor in factors.items()}
+        leg.pieces[number] = CompiledPiece(**arrays)
+
+    return of_leg(change)
+
+
+def degrees(leg):
+    own = leg.pieces[0]
+    leg.pieces[0] = CompiledPiece(own.degrees[::-1].copy(), own.readouts, own.columns)
+
+
+def attribute(name, change):
+    return of_leg(lambda leg: setattr(leg, name, change(getattr(leg, name))))
+
+
+def with_box(**changes):
+    return lambda flow: {"region": dataclasses.replace(flow.region, **changes)}
+
+
+FORCED = hamsym.Hamiltonian("p**2/2 + k*x**2/2", parameters={"k": 1.0}, forces={"p": "-1e-7*p"})
+MAPS = {
+    "H": with_box(H=hamsym.Hamiltonian("p**2/2 + 1.0000001*k*x**2/2", parameters={"k": 1.0})),
+    "kinetic": with_box(H=hamsym.Hamiltonian("p**2/1.9999999 + k*x**2/2", parameters={"k": 1.0})),
+    "other pair": with_box(H=hamsym.Hamiltonian("k*p**2/2 + x**2/2", parameters={"k": 1.0})),
+    "time": with_box(H=hamsym.Hamiltonian("p**2/2 + k*x**2/2 + 1e-7*x*t", parameters={"k": 1.0})),
+    "forces": with_box(H=FORCED),
+    "fixed": with_box(fixed={"p": 1e-7}),
+    "readouts": piece(0, readouts=1 + 1e-6),
+    "columns": piece(-1, columns=1 - 1e-6),
+    "no columns": piece(2, columns=0),
+    "degrees": of_leg(degrees),
+    "pieces": attribute("pieces", lambda pieces: pieces[::-1]),
+    "scaling": attribute("scaling", lambda matrix: matrix * (1 + 1e-6)),
+    "shift": attribute("shift", lambda vector: vector + 1e-6),
+    "offset": attribute("offset", lambda vector: vector + 1e-7),
+    "selection": attribute("selection", lambda matrix: matrix * (1 + 1e-7)),
+    "edges": attribute("edges", lambda edges: np.array([0, *(edges[1:-1] + 1e-4), edges[-1]])),
+    "begin": lambda flow: {"map": shifted(flow.map), "span": (0.25, 1.25)},
+}
+
+
+def shifted(leg):
+    found = copy.deepcopy(leg)
+    found.begin = 0.25
+    return found
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_certificates_do_not_hold_for_other_flow_maps(flow, name):
+    """Even where their digest and all that they state is that of the other map."""
+    own, certificate, _ = flow
+    other = dataclasses.replace(own, **MAPS[name](own))
+    claims = {"digest": map_digest(other), "formula": other.H.formulas, "fixed": dict(other.fixed)}
+    restated = dataclasses.replace(certificate, **claims, span=other.span)
+    if name == "begin":  # H does not contain the time
+        assert agreed(restated, other)
+    else:
+        assert not agreed(restated, other)
+
+
+def test_flow_maps_of_a_part_and_with_looser_bounds_are_accepted(flow):
+    own, certificate, _ = flow
+    looser = tuple(1.5 * value for value in certificate.bound)
+    part = {"x": (1.0, 1.02), "k": (0.7, 0.75)}
+    assert agreed(dataclasses.replace(certificate, bound=looser, box=part), own)
 
 
 # -- equilibria and invariants --------------------------------------------------------------------
@@ -411,7 +521,7 @@ def test_texts_of_another_form_are_refused(kind):
     found = list(spoilt(values))
     assert len(found) > 100
     for _, _, claims in found:
-        for checker in CHECKERS[: 1 if kind == "flow map" else 2]:
+        for checker in CHECKERS:
             with pytest.raises((CertificationError, FileError)):
                 hamsym.verify(sealed(claims), result, checker=checker)
 
@@ -463,6 +573,14 @@ def test_orbits_of_another_form_are_refused_by_the_checker_alone(every, monkeypa
     found = [each for each in spoilt(whole) if each[0][0] in used]
     assert len(found) > 150
     assert_refused(lambda claims: check_orbit(H, data, claims, lambda: None), found[::every])
+
+
+@pytest.mark.parametrize("every", [7, pytest.param(1, marks=pytest.mark.slow)])
+def test_flow_maps_of_another_form_are_refused_by_the_checker_alone(every, flow):
+    flow, certificate, _ = flow
+    H, data, whole = described(flow.H), _flow_data(flow), json.loads(certificate.to_json())
+    found = [each for each in spoilt(whole) if each[0][0] in ("bound", "box")]
+    assert_refused(lambda claims: check_flow_map(H, data, claims, lambda: None), found[::every])
 
 
 def test_equilibria_of_another_form_are_refused_by_the_checker_alone():

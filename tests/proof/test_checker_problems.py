@@ -7,6 +7,7 @@ others.
 
 from __future__ import annotations
 
+import dataclasses
 import random
 import re
 import sys
@@ -23,12 +24,13 @@ import sympy
 from flint import arb, arb_mat, arb_series, ctx
 
 import hamsym
-from hamsym.errors import HamsymError
+from hamsym.errors import CertificationError, HamsymError
+from hamsym.flow_maps.expansion import Leg
 from tests.audit.taylor import Equations, formula, integrate
 
 _BITS, _DIGITS = 200, 50
 _PRECISE = {"order": 44, "bits": _BITS, "digits": 52.0}
-_EVERY = 200  # problems of each kind
+_EVERY = {"map": 40}  # problems of each kind, if not 200
 
 
 @pytest.fixture(autouse=True)
@@ -378,6 +380,90 @@ def assert_stability(word, matrix, dim, forced):
         assert any(abs(rows[i][k] - (i == k)) > 1e-20 for i in range(dim) for k in range(dim))
 
 
+# -- flow maps ------------------------------------------------------------------------------------
+
+
+def checked_map(seed):
+    """Whether there is a flow map with a certificate, which is then compared with the truth."""
+    r = random.Random(f"map {seed}")
+    problem = random_problem(r, most=2)
+    names = [*problem.q, *problem.p]
+    middles = {name: round(r.uniform(-1, 1), 4) for name in names}
+    varied = r.sample(names, min(r.choice((1, 1, 2, 2, 3)), len(names)))
+    wide = len(varied) + len(problem.parameters) < 3
+    z0 = {
+        name: (x, round(x + r.choice((0.02, 0.1 if wide else 0.01)), 4)) if name in varied else x
+        for name, x in middles.items()
+    }
+    factor = 1.1 if wide else 1.01
+    parameters = {k: (v, round(factor * v, 4)) for k, v in problem.parameters.items()} or None
+    start, length = r.choice((0.0, 0.0, -3.0)), r.uniform(0.2, 1.2)
+    span = (start, start + length * r.choice((1, 1, -1)))
+    H = hamsym.Hamiltonian(
+        problem.text, q=problem.q, p=problem.p, parameters={}, forces=problem.forces
+    )
+    try:
+        flow = hamsym.flow_map(H, z0, span, parameters, tol=r.choice((1e-3, 1e-5, 1e-7)))
+        certificate = flow.certify(time_limit=20)
+    except HamsymError:
+        return False
+    if not isinstance(flow.map, Leg):
+        return False
+    largest = [0.0] * len(names)
+    for _ in range(6):
+        inputs = [pick(r, low, high, r.uniform(low, high)) for low, high in flow.box.values()]
+        given = dict(zip(flow.inputs, inputs, strict=True))
+        known = {k: given[k] for k in problem.parameters}
+        equations = Equations(problem.text, problem.q, problem.p, known, forces=problem.forces)
+        inner = sorted((r.uniform(*span) for _ in range(5)), reverse=span[1] < span[0])
+        times = [*inner, span[1]]
+        starts = [given.get(name, middles[name]) for name in names]
+        truth = integrate(equations, starts, span[0], times, **_PRECISE).states
+        for t, true in zip(times, truth, strict=True):
+            near = exact_leg(flow.map, t, inputs)
+            errors = [abs(a - precisely(b)) for a, b in zip(near, true, strict=True)]
+            largest = [max(pair) for pair in zip(largest, errors, strict=True)]
+    bounds = list(certificate.bound)
+    assert all(error <= bound for error, bound in zip(largest, bounds, strict=True)), seed
+    accepted(certificate, flow)
+    k = max(range(len(names)), key=lambda i: largest[i] / bounds[i])
+    false = (*bounds[:k], 0.97 * float(largest[k]), *bounds[k + 1 :])
+    with pytest.raises(CertificationError, match=r"is false|is not proven"):
+        hamsym.verify(dataclasses.replace(certificate, bound=false), flow, checker="independent")
+    return True
+
+
+def exact_leg(leg, t, inputs):
+    """z^ of the stored numbers."""
+    exact = [mpmath.mpf(value) for value in inputs]
+    y = [
+        mpmath.fdot(row, exact) + b for row, b in zip(leg.scaling.tolist(), leg.shift, strict=True)
+    ]
+    elapsed = mpmath.mpf(t) - mpmath.mpf(float(leg.begin))
+    inner = [float(edge) for edge in leg.edges[1:-1]]
+    number = sum(abs(elapsed) > abs(edge) for edge in inner)
+    low, high = (mpmath.mpf(float(edge)) for edge in leg.edges[number : number + 2])
+    piece, tau = leg.pieces[number], (2 * elapsed - low - high) / (high - low)
+
+    def sums(degrees, weights):
+        values = [mpmath.fprod(map(mpmath.chebyt, nu, y)) for nu in degrees.tolist()]
+        return [mpmath.fdot(values, column) for column in weights.T.tolist()]
+
+    found = [
+        mpmath.fdot(row, exact) + float(b)
+        for row, b in zip(leg.selection.tolist(), leg.offset, strict=True)
+    ]
+    if len(leg.start):
+        more = sums(leg.start_degrees, leg.start)
+        found = [a + b for a, b in zip(found, more, strict=True)]
+    series = [mpmath.chebyt(n, tau) for n in range(piece.columns.shape[1])]
+    readouts = sums(piece.degrees, piece.readouts)
+    for i in range(len(found)):
+        columns = [mpmath.fdot(series, column) for column in piece.columns[:, :, i].tolist()]
+        found[i] += elapsed * mpmath.fdot(readouts, columns)
+    return found
+
+
 # -- equilibria -----------------------------------------------------------------------------------
 
 
@@ -487,10 +573,17 @@ def checked_invariant(seed):
 KINDS = {
     "solution": checked_solution,
     "orbit": checked_orbit,
+    "map": checked_map,
     "equilibrium": checked_equilibrium,
     "invariant": checked_invariant,
 }
-_QUICK = {"solution": (3,), "orbit": (148,), "equilibrium": (10, 13), "invariant": (2, 6)}
+_QUICK = {
+    "solution": (3,),
+    "orbit": (148,),
+    "map": (19,),
+    "equilibrium": (10, 13),
+    "invariant": (2, 6),
+}
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -500,8 +593,9 @@ def test_claims_about_random_problems_are_true(kind):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("first", range(0, _EVERY, 20))
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("kind", "first"), [(kind, k) for kind in KINDS for k in range(0, _EVERY.get(kind, 200), 20)]
+)
 def test_claims_about_many_random_problems_are_true(kind, first):
     """A problem without a proof is none of the claims, but most have one."""
     assert sum(KINDS[kind](seed) for seed in range(first, first + 20)) >= 12

@@ -18,8 +18,8 @@ from flint import acb, acb_poly, arb, arb_mat, arb_poly, arb_series, ctx
 from hamsym.proof.checker.formulas import Formulas, NotProvenError, ball
 
 UNIT = arb(0, 1)  # all numbers up to 1 in size
-_COARSE = 53  # bits of values on discs
-_RADII, _DIVISIONS = (6, 5), 4  # of discs that are tried, and squares on a radius
+COARSE = 53  # bits of values on discs
+DISCS, _DIVISIONS = (6, 5), 4  # of discs that are tried, and squares on a radius
 
 
 class Rates(Protocol):
@@ -121,10 +121,10 @@ def expanded(at: Callable[[Any], Sequence[Any]], order: int) -> list[Expansion]:
     - at: x -> values of the functions, for x as a power series or as a ball of complex numbers.
     """
     found = series_of(at, order)
-    for R in _RADII:
+    for R in DISCS:
         with contextlib.suppress(NotProvenError):
-            with ctx.workprec(_COARSE):
-                values = [at(square) for square in _squares(R)]
+            with ctx.workprec(COARSE):
+                values = [at(square) for square in squares(R)]
             # A NaN is not larger than any number: all are looked at before the largest is taken.
             if all(value.is_finite() for each in values for value in each):
                 bounds = [
@@ -145,7 +145,7 @@ def coefficients(value: Any, count: int) -> list[arb]:
     return [*found, *[arb(0)] * (count - len(found))]
 
 
-def _squares(R: int) -> Iterator[acb]:
+def squares(R: int) -> Iterator[acb]:
     """Squares that cover half a disc, which is enough for functions that are real for real x."""
     for j in range(_DIVISIONS):
         for i in range(-_DIVISIONS, _DIVISIONS):

@@ -87,11 +87,11 @@ def guess(
             arb_poly(rate) * ball(r) - part.real.derivative()
             for part, rate in zip(y, rates, strict=True)
         ]
-        moved = [part.integral() for part in _applied(W, defects, order)]
+        moved = [part.integral() for part in applied(W, defects, order)]
         start = end_of(W, -1) * column([a - part(arb(-1)) for a, part in zip(z, y, strict=True)])
         moved = [part + (start[i, 0] - part(arb(-1))) for i, part in enumerate(moved)]
         change = 0.0
-        for i, part in enumerate(_applied(V, moved, order + 1)):
+        for i, part in enumerate(applied(V, moved, order + 1)):
             whole = [c.mid() for c in (y[i].real + part).coeffs()]
             size, moves = (sum(map(abs, row), arb(0)).mid() for row in (whole, part.coeffs()))
             if not size.is_finite():
@@ -114,7 +114,7 @@ def _flow(A: list[arb_mat], inverse: bool) -> list[arb_mat]:
     return found
 
 
-def _applied(series: list[arb_mat], parts: Sequence[arb_poly], count: int) -> list[arb_poly]:
+def applied(series: list[arb_mat], parts: Sequence[arb_poly], count: int) -> list[arb_poly]:
     """The first coefficients of a matrix of polynomials times a column of them."""
     columns = list(enumerate(parts))
     return [

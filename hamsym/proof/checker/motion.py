@@ -29,7 +29,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from typing import Any, TypeVar
 
 from flint import arb, arb_mat, arb_poly
 
@@ -54,6 +54,8 @@ from hamsym.proof.checker.functions import (
 _SHORTEST = Fraction(1, 2**40)  # step, of the span
 _TINY = arb(2) ** -2_000
 _TUBES = 4  # attempts at a tube
+
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True)
@@ -138,31 +140,56 @@ def steps(
       by default none.
     - degree: Of the polynomials V and W; derivatives are as exact as they are.
     """
-    time, end = (Fraction(value) for value in span)
-    zeros, one, length = arb_mat(equations.dim, 1 + len(radii)), identity(equations.dim), end - time
+    zeros, one = arb_mat(equations.dim, 1 + len(radii)), identity(equations.dim)
     tube = _beside(arb_mat(equations.dim, 1), one) if radii else zeros
     state = End([arb(value) for value in z0], zeros, one, one, one, tube)
-    step, r = Step(time, length, [Polynomial([value]) for value in state.z], [], state), length / 64
-    scales, longest = [abs(value) for value in state.z], 1.5
+    step = Step(Fraction(0), Fraction(1), [Polynomial([value]) for value in state.z], [], state)
+    scales = [abs(value) for value in state.z]
+
+    def attempt(middle: Fraction, r: Fraction) -> tuple[Step, float]:
+        nonlocal step
+        near = [part.real(step.line(middle, r)) for part in step.y]
+        guess = guesses.guess(
+            equations, step.end.z, near, middle, r, order, accuracy, scales, degree
+        )
+        factor = guesses.factor_of(guess.y, order, accuracy, scales)
+        if not factor > 0.8:
+            raise NotProvenError("the solution changes too fast")
+        step = _proven(equations, step.end, middle, r, guess, order, radii)
+        return step, factor
+
+    length = Fraction(span[1]) - Fraction(span[0])
+    yield from march(span, length / 64, _SHORTEST, attempt, check_time)
+
+
+def march(
+    span: Sequence[float | Fraction],
+    r: Fraction,
+    shortest: Fraction,
+    attempt: Callable[[Fraction, Fraction], tuple[Found, float]],
+    check_time: Callable[[], None],
+) -> Iterator[Found]:
+    """What is found on steps that cover a span.
+
+    - r: Half of the first step.
+    - shortest: Step, of the span.
+    - attempt: The middle of a step and its half -> what is found there, and by how much the next
+      step may be longer.
+    """
+    time, end = (Fraction(value) for value in span)
+    length, longest = end - time, 1.5
     while time != end:
         check_time()
         rest = (end - time) / 2
         r = rest if abs(r) >= abs(rest) else min(r, rest / 2, key=abs)
         try:
-            near = [part.real(step.line(time + r, r)) for part in step.y]
-            guess = guesses.guess(
-                equations, state.z, near, time + r, r, order, accuracy, scales, degree
-            )
-            factor = guesses.factor_of(guess.y, order, accuracy, scales)
-            if not factor > 0.8:
-                raise NotProvenError("the solution changes too fast")
-            step, state = _proven(equations, state, time + r, r, guess, order, radii)
+            found, factor = attempt(time + r, r)
         except NotProvenError as error:
-            if not abs(r) > abs(length) * _SHORTEST:
+            if not abs(r) > abs(length) * shortest:
                 raise NotProvenError(f"no proof beyond t = {float(time)}: {error}") from None
             r, longest = r * 3 / 4, 1.0  # of the next steps, where this one is too long
         else:
-            yield step
+            yield found
             time, r, longest = time + 2 * r, Fraction(float(r) * min(factor, longest)), 1.5
 
 
@@ -181,8 +208,34 @@ def _proven(
     guess: guesses.Guess,
     order: int,
     radii: Sequence[arb],
-) -> tuple[Step, End]:
-    """Prove a step by the lemma of the module's docstring."""
+) -> Step:
+    """Prove a step near one solution."""
+    y, time = guess.y, clock(middle, r)
+
+    def rates(x: Any) -> list[Any]:
+        return equations.run_rates([*(part(x) for part in y), time(x)])
+
+    D = [_defect(part, r, f) for part, f in zip(y, expanded(rates, order), strict=True)]
+    gap = [a - part(arb(-1)) for a, part in zip(before.z, y, strict=True)]
+    return proven(equations, before, middle, r, guess, D, gap, radii)
+
+
+def proven(
+    equations: Rates,
+    before: End,
+    middle: Fraction,
+    r: Fraction,
+    guess: guesses.Guess,
+    D: Sequence[arb],
+    gap: Sequence[arb],
+    radii: Sequence[arb] = (),
+) -> Step:
+    """Prove a step by the lemma of the module's docstring.
+
+    - guess: Its y may have balls as coefficients: the step then holds for each y in them that has
+      these bounds.
+    - D, gap: Bounds on the defect of y, and on what y(-1) differs from the end of the step before.
+    """
     y, V, W, one = guess.y, guess.V, guess.W, identity(equations.dim)
     time = clock(middle, r)
 
@@ -192,35 +245,30 @@ def _proven(
     def whole(tube: arb_mat) -> list[arb]:
         return (tube * share).entries()
 
-    def rates(x: Any) -> list[Any]:
-        return equations.run_rates([*(part(x) for part in y), time(x)])
-
     def around(x: Any) -> list[Any]:
         near = [part(x) + T * UNIT for part, T in zip(y, whole(tube), strict=True)]
         return equations.run_all([*near, time(x)])
 
-    D = column([_defect(part, r, f) for part, f in zip(y, expanded(rates, order), strict=True)])
-    D = _beside(D, others)
+    added = _beside(column(D), others)
     slope = [-(part * arb(k)) for k, part in enumerate(W)][1:]  # of -W
     P, Q = (before.S * end_of(V, -1)).mid(), (end_of(W, -1) * before.F).mid()
     start = P * end_of(W, -1)
-    gap = column([a - part(arb(-1)) for a, part in zip(before.z, y, strict=True)])
     U = before.U + sizes(start - before.PW) * before.tube
-    U += _beside(sizes(start) * sizes(gap), others)
+    U += _beside(sizes(start) * sizes(column(gap)), others)
     P_size, Q_size, two = sizes(P), sizes(Q), arb(2)
     V_size, W_size = total([sizes(v) for v in V]), total([sizes(w) for w in W])
     inverse, rest = sizes(one - Q * P), _distance(V, W, [one])
-    found = V_size * (Q_size * (U + units + P_size * (W_size * D) * two))
+    found = V_size * (Q_size * (U + units + P_size * (W_size * added) * two))
     for _ in range(_TUBES):
         wider = [arb(3) / 2 * value.abs_upper() + _TINY for value in found.entries()]
         tube = arb_mat(equations.dim, 1 + len(radii), wider)
         rows = [[*e.first, e.rest()] for e in expanded(around, len(V) - 1)]
         E = _distance(W, matrices(equations, rows, r), slope)
-        u = U + P_size * (E * tube + W_size * D) * two
+        u = U + P_size * (E * tube + W_size * added) * two
         found = V_size * (Q_size * (u + units) + inverse * (W_size * tube)) + rest * tube
         if all(a < b for a, b in zip(found.entries(), tube.entries(), strict=True)):
             z, PW = [part(arb(1)) for part in y], P * end_of(W, 1)
             F = (end_of(V, 1) * Q).mid()
             end = End(z, sizes(u), PW.mid(), F, PW, sizes(found))
-            return Step(middle, r, y, [value.abs_upper() for value in whole(found)], end), end
+            return Step(middle, r, y, [value.abs_upper() for value in whole(found)], end)
     raise NotProvenError("the bound on the distance of the solution does not close")
