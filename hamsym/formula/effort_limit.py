@@ -6,12 +6,15 @@ The clock limits calls that are slow themselves.
 
 from __future__ import annotations
 
+import functools
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
+
+from hamsym.numerics.shared_state import Shared
 
 _EVERY = 256  # events between readings of the clock
 
@@ -36,13 +39,14 @@ def call_limit(calls: int, seconds: float) -> Iterator[None]:
     def count(frame: Any, *_: Any) -> None:
         nonlocal events
         events += 1
-        if frame.f_code is _FOUND:  # an error raised there is lost again
+        if frame.f_code is _found.__code__:  # an error raised there is lost again
             return
         if events > 2 * calls or (events % _EVERY == 0 and time.thread_time() > end):
-            events = 2 * calls
+            events = 2 * calls  # exceeded from now on, also by the clock
             raise CallLimitExceededError  # this also ends the counting
 
-    with _lost_errors.counted_again(count):
+    _own.count = count
+    with _regained.entered():
         sys.setprofile(count)
         try:
             yield
@@ -50,35 +54,22 @@ def call_limit(calls: int, seconds: float) -> Iterator[None]:
             sys.setprofile(None)
 
 
-class _LostErrors:
-    """Errors that are raised while an object is deleted, where the interpreter drops them."""
+def _regain_lost_errors() -> Callable[[], None]:
+    """Count again after an error that was lost; return what ends this.
 
-    def __init__(self) -> None:
-        self._lock, self._own, self._inside = threading.Lock(), threading.local(), 0
-        self._others: Any = None
-
-    @contextmanager
-    def counted_again(self, count: Any) -> Iterator[None]:
-        """Go on with counting after an error that was lost: the next event raises it again."""
-        self._own.count = count
-        with self._lock:
-            if not self._inside:
-                self._others, sys.unraisablehook = sys.unraisablehook, self._found
-            self._inside += 1
-        try:
-            yield
-        finally:
-            with self._lock:
-                self._inside -= 1
-                if not self._inside:
-                    sys.unraisablehook = self._others
-
-    def _found(self, error: Any) -> None:
-        if error.exc_type is CallLimitExceededError:
-            sys.setprofile(self._own.count)
-        else:
-            self._others(error)
+    The interpreter drops errors that are raised while an object is deleted.
+    """
+    others = sys.unraisablehook
+    sys.unraisablehook = functools.partial(_found, others)
+    return functools.partial(setattr, sys, "unraisablehook", others)
 
 
-_lost_errors = _LostErrors()
-_FOUND = _LostErrors._found.__code__
+def _found(others: Callable[[Any], Any], error: Any) -> None:
+    if error.exc_type is CallLimitExceededError:
+        sys.setprofile(_own.count)  # the next event raises it again
+    else:
+        others(error)
+
+
+_own = threading.local()
+_regained = Shared(_regain_lost_errors)

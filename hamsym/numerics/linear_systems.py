@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import functools
 import importlib
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
-from typing import Any
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 
 import numpy as np
 import threadpoolctl
+
+from hamsym.numerics.shared_state import Shared
 
 _SMALL = 600  # unknowns, up to which one thread is as good as two
 
@@ -29,42 +29,20 @@ def solved(matrices: np.ndarray, columns: np.ndarray) -> np.ndarray:
         return np.full(columns.shape, np.nan)
 
 
-@contextmanager
-def blas_on_one_core() -> Iterator[None]:
+def blas_on_one_core() -> AbstractContextManager[None]:
     """Let BLAS use one core, in all threads of this process, until the last of them leaves."""
-    _limit.enter()
-    try:
-        yield
-    finally:
-        _limit.leave()
+    return _limited.entered()
 
 
-class _Limit:
-    """The limit of the threads of BLAS, and the number of those who asked for it."""
-
-    def __init__(self) -> None:
-        self._lock, self._asked = threading.Lock(), 0
-        self._limit: Any = None
-
-    def enter(self) -> None:
-        with self._lock:
-            if not self._asked:
-                self._limit = _libraries().limit(limits=1, user_api="blas")
-            self._asked += 1
-
-    def leave(self) -> None:
-        with self._lock:
-            self._asked -= 1
-            if not self._asked:
-                self._limit.restore_original_limits()
+def _limit() -> Callable[[], None]:
+    return _libraries().limit(limits=1, user_api="blas").restore_original_limits
 
 
 @functools.cache
 def _libraries() -> threadpoolctl.ThreadpoolController:
-    importlib.import_module(
-        "scipy.linalg"
-    )  # it has a BLAS of its own; only what is loaded is found
+    # Only what is loaded is found, and scipy has a BLAS of its own.
+    importlib.import_module("scipy.linalg")
     return threadpoolctl.ThreadpoolController()
 
 
-_limit = _Limit()
+_limited = Shared(_limit)

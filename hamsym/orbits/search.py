@@ -27,10 +27,8 @@ _EXTRA_NODES = 8  # of the check
 _ITERATIONS = 30
 _HALVINGS = 6  # of a Newton step
 _SLOW, _MOST_SLOW = 0.1, 4  # share of a step that is slow, and the number of slow ones
-_WANDERS, _AWAY = (
-    6,
-    3.0,
-)  # step from which corrections larger than the first one by this end the search
+# Step from which corrections that are larger than the first one by a factor end the search.
+_WANDERS, _AWAY = 6, 3.0
 _CONVERGED = 1e-12  # size of a correction; later ones are round-off
 _TAIL = 1e-13  # coefficients that a window leaves out, relative to the components
 _REFINEMENTS = 12
