@@ -224,9 +224,9 @@ class NewtonSystem:
         numbers = whole[count:] * self._number_units
         whole = whole[:count] * self.units[:count]
         ends = whole.reshape(-1, dim)
-        inside = windows.inside
-        values = np.einsum("kjac,kc->kja", inside[..., :dim], ends[:-1])
-        values += inside[..., dim:-1] @ numbers + inside[..., -1]
+        free = np.tile(np.append(numbers, 1.0), (len(ends) - 1, 1))
+        columns = np.concatenate([ends[:-1], free], axis=1)
+        values = (windows.inside @ columns[:, None, :, None])[..., 0]
         return Step(
             ends,
             values,

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import numpy as np
@@ -28,7 +27,7 @@ from hamsym.orbits.multipliers import (
     stability_of,
 )
 from hamsym.orbits.period import period_of
-from hamsym.orbits.search import accurate_arc, check, first_arc, first_return, refined
+from hamsym.orbits.search import check, first_arc, first_return, refined, shot
 from hamsym.orbits.symmetry import closing_of
 from hamsym.random_features.flow import flow_of
 from hamsym.solution.discontinuities import first_jump, has_switches
@@ -371,8 +370,7 @@ def periodic_orbit(
     fixed = None if exact is None else exact.value
     problem = Problem(H, closing, energy, fixed, start, exact_period=exact)
     arc = first_arc(problem, state, duration)
-    accurate = partial(accurate_arc, problem, state, duration)
-    return solved_orbit(problem, arc, tol, began, accurate=accurate)
+    return solved_orbit(problem, arc, tol, began, marched=True)
 
 
 def solved_orbit(
@@ -381,19 +379,20 @@ def solved_orbit(
     tol: float,
     began: float | None = None,
     *,
-    accurate: Callable[[], Arc] | None = None,
+    marched: bool = False,
     reduce: bool = True,
 ) -> PeriodicOrbit:
     """Solve a problem from a first arc, estimate the error, and judge.
 
-    - accurate: A first arc that takes longer, for orbits that are not found from the other one.
+    - marched: Whether the arc is a solution from its start, which may be corrected first.
     - reduce: Solve an orbit that is run through several times again once.
     """
     start = time.perf_counter() if began is None else began
     found = refined(problem, arc)
-    if found.failure and accurate is not None:
-        with contextlib.suppress(InputError):
-            found = refined(problem, accurate())
+    if found.failure and marched:
+        better = shot(problem, arc)
+        if better is not arc:
+            found = refined(problem, better)
     finer, step, error = check(problem, found.arc)
     if problem.closing.first is not None:  # exactly in its fixed set, for signed zeros too
         finer.ends[0] = (finer.ends[0] + problem.closing.first(finer.ends[0])) / 2 + 0.0

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.integrate import DOP853, DenseOutput, OdeSolution
 from scipy.optimize import minimize_scalar
 
 from hamsym.errors import InputError
@@ -19,8 +17,11 @@ from hamsym.orbits.arc import Arc, Problem, vector_field_at
 from hamsym.orbits.integrals import slice_of
 from hamsym.orbits.newton_system import NewtonSystem, Step
 from hamsym.orbits.symmetry import Closing
-from hamsym.orbits.window_maps import WindowMaps
+from hamsym.random_features.basis import feature_basis
 from hamsym.random_features.flow import flow_of
+from hamsym.random_features.march import march
+from hamsym.random_features.trial import FeatureTrial
+from hamsym.random_features.windows import March
 
 _NODES, _FEW_NODES, _MANY = 20, 12, 20  # points in a window; fewer from so many components on
 _EXTRA_NODES = 8  # of the check
@@ -34,13 +35,12 @@ _TAIL = 1e-13  # coefficients that a window leaves out, relative to the componen
 _REFINEMENTS = 12
 _MOST_WINDOWS = 10_000
 _MOST_ENTRIES = 50_000_000  # of the derivatives at the points of all windows
-_FIRST, _STEPS_PER_WINDOW = 1e-10, 3  # tolerance and steps of DOP853 along a guess
-_ACCURATE = 1e-13  # and where Newton's method fails: unstable orbits magnify errors
-_INSIDE = 2  # corrections inside windows before the search
+_LOCAL, _MARCH_NODES = 1e-13, 16  # local tolerance of a march along a guess, and its points
+_IN_A_WINDOW = 1_000  # windows of a march in one of an arc, at most
 _SHOTS = 3  # corrections of the start before the search
 _FAST, _SLOW_START = 1e-3, 1e-2  # change of states for which they are made, and share of the start
 _CLOSED = 1e-5  # distance from closing that no other period makes smaller
-_MOST_STEPS = 5000  # of DOP853 in the search for a return
+_COARSE, _MOST_MARCHED = 1e-9, 5_000  # of a march in the search for a return: windows at most
 _HORIZONS = 6  # times that the search for a return doubles its time
 _NEAR = 0.1  # distance of a return that ends the search, relative to the motion
 _LEAST = 1e-3  # size of a component relative to the largest of its half
@@ -74,63 +74,55 @@ def first_arc(problem: Problem, state: np.ndarray, period: float) -> Arc:
 
     Raise InputError if the trajectory does not reach the end of the arc.
     """
-    path, edges, period = _first_path(problem, state, period, _FIRST, _STEPS_PER_WINDOW)
-    duration = period / problem.closing.parts
-    points = edges[:-1, None] + np.diff(edges)[:, None] * collocation(_nodes(problem.H)).nodes
-    states = path(problem.start + points.ravel() * duration).T
-    ends = path(problem.start + edges * duration).T
-    return Arc(edges, ends, states.reshape(*points.shape, -1), period)
-
-
-def accurate_arc(problem: Problem, state: np.ndarray, period: float) -> Arc:
-    """Integrate an arc from a guess as accurately as close encounters need.
-
-    Raise InputError if the trajectory does not reach the end of the arc.
-    """
-    _, edges, period = _first_path(problem, state, period, _ACCURATE, 2 * _STEPS_PER_WINDOW)
-    sizes = _sizes(problem.H, state, problem.start)[1]
-    arc = _in_windows(problem, state, edges, period, sizes)
-    # The coefficients that a window leaves out fall with a power of its width.
-    parts = np.ceil(1.2 * (arc.tails() / _TAIL) ** (1 / arc.values.shape[1])).astype(int)
-    if (parts > 1).any():
-        pieces = zip(pairwise(edges.tolist()), np.maximum(parts, 1).tolist(), strict=True)
-        finer = [np.linspace(*ends, count + 1)[:-1] for ends, count in pieces]
-        arc = _in_windows(problem, state, np.append(np.concatenate(finer), 1.0), period, sizes)
-    return _shot(problem, arc, sizes)
-
-
-def _first_path(
-    problem: Problem, state: np.ndarray, period: float, rtol: float, steps: int
-) -> tuple[OdeSolution, np.ndarray, float]:
-    """The trajectory of a guess, windows of so many of its steps, and the period of its return."""
-    duration = period / problem.closing.parts
+    H, start, duration = problem.H, problem.start, period / problem.closing.parts
+    _rates(H, state, start)
     free = problem.autonomous and problem.period is None
+    most = _most_windows(H)
     longest = duration * (1 + _AROUND if free else 1)
-    span = (problem.start, problem.start + longest)
-    sizes = _sizes(problem.H, state, problem.start)[1]
-    windows = _most_windows(problem.H)
-    most = steps * (windows + 1)
-    found, _ = _integrated(_rates(problem.H), span, state, rtol, sizes, most)
-    reached = found.ts[-1] >= problem.start + duration
-    if not reached and len(found.ts) <= most:
+    path = _marched(H, state, (start, start + longest), _LOCAL, math.ceil(_longer(H) * most))
+    if not path.reached >= start + duration:
         raise InputError(
-            f"the trajectory of the guess ends at t = {found.ts[-1]:.6g}, before its period; give "
-            "another guess"
+            f"the trajectory of the guess ends at t = {path.reached:.6g}, before its period: "
+            f"{path.reason}; give another guess, or one with a shorter period"
         )
-    if not reached:
-        raise InputError(
-            f"the period {period:.6g} of the guess is too long for the motion: it would take more "
-            f"than {windows:,} windows; give a guess with a shorter period"
-        )
-    if free and found.ts[-1] == span[1]:
-        duration = _nearest_return(found, problem.closing, duration)
-        period = duration * problem.closing.parts
-    edges = (found.ts[::steps] - problem.start) / duration
-    edges = np.append(edges[edges < 1 - 1e-9], 1.0)
-    return found, edges if len(edges) > 3 else np.linspace(0, 1, 4), period
+    if free and not path.reason:
+        duration = _nearest_return(path, problem.closing, duration)
+    # Windows in proportion to those of the march, whose basis has another number of points.
+    times = path.edges + (path.origin - start)
+    count = int(np.searchsorted(times, duration))
+    times = np.append(times[:count], duration)
+    parts = max(3, math.ceil(count / _longer(H)))
+    edges = np.interp(np.linspace(0, count, parts + 1), np.arange(count + 1), times) / duration
+    edges[-1] = 1.0
+    return _in_windows(problem, state, edges, duration * problem.closing.parts)
 
 
-def _shot(problem: Problem, arc: Arc, sizes: np.ndarray) -> Arc:
+def _marched(
+    H: Hamiltonian, state: np.ndarray, span: tuple[float, float], local: float, most: int
+) -> March:
+    """March from a state over a span, or to where a window has no solution."""
+    basis = feature_basis(nodes=_MARCH_NODES)
+    with np.errstate(all="ignore"):
+        return march(flow_of(H), state, span, local, basis, max_windows=most)
+
+
+def _states(path: March, times: np.ndarray) -> np.ndarray:
+    """Evaluate a march, shape (n,) -> (n, dim)."""
+    return FeatureTrial.of_march(path, feature_basis(nodes=_MARCH_NODES)).states_at(times)
+
+
+def _longer(H: Hamiltonian) -> float:
+    """The length of windows of an arc, relative to those of a march.
+
+    Coefficients of n terms fall to a tolerance in windows whose distance from singularities is that
+    of an ellipse with radius tolerance^(-1/n) (Trefethen 2013, chapter 8).
+    """
+    radii = _TAIL ** (-1 / np.array([_MARCH_NODES, _nodes(H)]))
+    axes = radii + 1 / radii
+    return float(axes[0] / axes[1])
+
+
+def shot(problem: Problem, arc: Arc) -> Arc:
     """Correct the start and the period alone, while that brings the end nearer.
 
     Where the motion is much faster than elsewhere, as in close encounters, a small shift of time
@@ -144,7 +136,7 @@ def _shot(problem: Problem, arc: Arc, sizes: np.ndarray) -> Arc:
                 break
             state, period = arc.ends[0] + before.ends[0], arc.period + before.period
             try:
-                trial = _in_windows(problem, state, arc.edges, period, sizes)
+                trial = _in_windows(problem, state, arc.edges, period)
             except InputError:
                 break
             after = NewtonSystem(problem, trial, slice_of(problem, trial)).solved()
@@ -154,62 +146,39 @@ def _shot(problem: Problem, arc: Arc, sizes: np.ndarray) -> Arc:
     return arc
 
 
-def _in_windows(
-    problem: Problem, state: np.ndarray, edges: np.ndarray, period: float, sizes: np.ndarray
-) -> Arc:
-    """Integrate an arc window by window, and solve the equations inside each.
+def _in_windows(problem: Problem, state: np.ndarray, edges: np.ndarray, period: float) -> Arc:
+    """Integrate an arc window by window.
 
     The time starts at 0 in each: sums of it are rounded, by more than close encounters allow.
     """
-    rates, rule = _rates(problem.H), collocation(_nodes(problem.H))
+    H, nodes = problem.H, collocation(_nodes(problem.H)).nodes
     duration = period / problem.closing.parts
     ends, values = [state], []
     for low, high in pairwise(edges.tolist()):
-        begin, length = problem.start + low * duration, (high - low) * duration
-
-        def moved(t: float, z: np.ndarray, begin: float = begin) -> np.ndarray:
-            return rates(begin + t, z)
-
-        path, finished = _integrated(moved, (0.0, length), ends[-1], _ACCURATE, sizes, _MOST_STEPS)
-        if not finished:
+        begin = 0.0 if problem.autonomous else problem.start + low * duration
+        length = (high - low) * duration
+        path = _marched(H, ends[-1], (begin, begin + length), _LOCAL, _IN_A_WINDOW)
+        if path.reason:
             raise InputError(
-                f"the trajectory of the guess ends at t = {begin + path.ts[-1]:.6g}, before its "
-                "period; give another guess"
+                f"the trajectory of the guess ends at t = {problem.start + low * duration:.6g}, "
+                f"before its period: {path.reason}; give another guess"
             )
-        ends.append(path(length))
-        values.append(path(length * rule.nodes).T)
-    return _inside_solved(problem, Arc(edges, np.array(ends), np.array(values), period))
+        ends.append(path.states[-1])
+        values.append(_states(path, begin + length * nodes))
+    return Arc(edges, np.array(ends), np.array(values), period)
 
 
-def _inside_solved(problem: Problem, arc: Arc) -> Arc:
-    """Solve the equations inside each window from its start.
-
-    The polynomials between the steps of DOP853 are less accurate than the steps, and unstable
-    orbits magnify their errors.
-    """
-    with np.errstate(all="ignore"):
-        for _ in range(_INSIDE):
-            maps = WindowMaps(problem, arc, ())
-            if not (np.abs(maps.residual) / arc.scale).max() > _TAIL:
-                break
-            moved = replace(arc, values=arc.values + maps.inside[..., -1])
-            if not np.isfinite(moved.values).all():
-                break
-            arc = moved
-    return arc
-
-
-def _nearest_return(found: OdeSolution, closing: Closing, duration: float) -> float:
+def _nearest_return(path: March, closing: Closing, duration: float) -> float:
     """The time near a duration at which a path, from its start, is nearest to closing.
 
     An error of the period is large where the motion is fast, as in close encounters, and Newton's
     method would have to shift these in time.
     """
-    start = found.ts[0]
-    units = np.ptp(found(found.ts).T, axis=0)
+    start = path.ends[0]
+    units = np.ptp(path.states, axis=0)
 
     def distance(times: np.ndarray) -> np.ndarray:
-        return _distances(closing, found(start + np.append(0.0, times)).T, units)[1:]
+        return _distances(closing, _states(path, start + np.append(0.0, times)), units)[1:]
 
     if distance(np.array([duration]))[0] < _CLOSED:
         return duration
@@ -231,17 +200,16 @@ def first_return(H: Hamiltonian, closing: Closing, state: np.ndarray) -> float:
 
     Raise InputError if there is none.
     """
-    rates = _rates(H)
-    rate, sizes = _sizes(H, state, 0.0)
+    rate = _rate(H, state)
     if not rate > 0:
         raise InputError("the guess is an equilibrium; give a state on or near a periodic orbit")
     horizon = 4 / rate
     best = (math.inf, 0.0)
     for _ in range(_HORIZONS):
         horizon *= 2
-        found, reached = _integrated(rates, (0.0, horizon), state, 1e-9, sizes, _MOST_STEPS)
-        times = np.linspace(0, found.ts[-1], 40 * len(found.ts))
-        path = found(times).T
+        found = _marched(H, state, (0.0, horizon), _COARSE, _MOST_MARCHED)
+        times = np.linspace(0, found.reached, 40 * len(found.edges))
+        path = _states(found, times)
         if not np.isfinite(path).all():
             break
         distances = _distances(closing, path, np.ptp(path, axis=0))
@@ -254,7 +222,7 @@ def first_return(H: Hamiltonian, closing: Closing, state: np.ndarray) -> float:
                 best = (float(distances[k]), float(times[k]))
             if distances[k] < _NEAR:
                 return float(times[k]) * closing.parts
-        if best[0] < _FAR / 2 or not reached:
+        if best[0] < _FAR / 2 or found.reason:
             break
     if not best[0] < _FAR:
         raise InputError(
@@ -264,45 +232,25 @@ def first_return(H: Hamiltonian, closing: Closing, state: np.ndarray) -> float:
     return best[1] * closing.parts
 
 
-def _integrated(
-    rates: Callable[[float, np.ndarray], np.ndarray],
-    span: tuple[float, float],
-    state: np.ndarray,
-    rtol: float,
-    sizes: np.ndarray,
-    most: int,
-) -> tuple[OdeSolution, bool]:
-    """Integrate by DOP853, at most so many steps: the path, and whether it reaches the end."""
-    times, pieces = [span[0]], list[DenseOutput]()
-    with np.errstate(all="ignore"):
-        solver = DOP853(rates, span[0], state, span[1], rtol=rtol, atol=1e-3 * rtol * sizes)
-        while solver.status == "running" and len(pieces) < most:
-            solver.step()
-            if solver.status == "failed" or not np.isfinite(solver.y).all():
-                break
-            times.append(solver.t)
-            pieces.append(solver.dense_output())
-    if not pieces:
-        raise InputError("the trajectory of the guess ends at its start; give another guess")
-    return OdeSolution(times, pieces), solver.status == "finished"
+def _rate(H: Hamiltonian, state: np.ndarray) -> float:
+    """The rate of the motion at a state, 0 at an equilibrium."""
+    field, jacobian = _rates(H, state, 0.0)
+    if not field.any():
+        return 0.0
+    rate = float(np.abs(np.linalg.eigvals(jacobian)).max())
+    moving = state != 0
+    if not rate > 0 and moving.any():
+        rate = float(np.abs(field[moving] / state[moving]).max())
+    return rate if rate > 0 else 1.0
 
 
-def _sizes(H: Hamiltonian, state: np.ndarray, time: float) -> tuple[float, np.ndarray]:
-    """The rate of the motion at a state, 0 at an equilibrium, and sizes of the components."""
-    flow = flow_of(H)
+def _rates(H: Hamiltonian, state: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
+    """The vector field and its derivatives at a guess, which must be finite."""
     field = vector_field_at(H, state, time)
-    jacobian = flow.jacobian(state[None], np.array([time]))[0]
+    jacobian = flow_of(H).jacobian(state[None], np.array([time]))[0]
     if not (np.isfinite(field).all() and np.isfinite(jacobian).all()):
         raise InputError("H or its derivatives are not finite at the guess; give another guess")
-    rate, sizes = 0.0, np.abs(state)
-    if field.any():
-        rate = float(np.abs(np.linalg.eigvals(jacobian)).max())
-        moving = state != 0
-        if not rate > 0 and moving.any():
-            rate = float(np.abs(field[moving] / state[moving]).max())
-        rate = rate if rate > 0 else 1.0
-        sizes = np.maximum(sizes, np.abs(field) / rate)
-    return rate, floored_sizes(sizes, _LEAST)
+    return field, jacobian
 
 
 def _distances(closing: Closing, path: np.ndarray, extent: np.ndarray) -> np.ndarray:
@@ -313,15 +261,6 @@ def _distances(closing: Closing, path: np.ndarray, extent: np.ndarray) -> np.nda
     else:
         gaps = (path - closing.shift(path[0])) / units
     return np.asarray(np.abs(gaps).max(axis=1))
-
-
-def _rates(H: Hamiltonian) -> Callable[[float, np.ndarray], np.ndarray]:
-    flow = flow_of(H)
-
-    def rates(t: float, z: np.ndarray) -> np.ndarray:
-        return np.asarray(flow.vector_field(z[None], np.array([t]))[0])
-
-    return rates
 
 
 def converged(problem: Problem, arc: Arc) -> Found:

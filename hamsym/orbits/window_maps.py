@@ -75,14 +75,14 @@ class WindowMaps:
         residual, gaps = self._residuals(block, states, times)
         columns = np.zeros((windows, nodes, dim, self.ends.shape[-1]))
         columns[..., :dim] = np.eye(dim)
-        columns[..., dim:] = np.einsum("ij,kjdc->kidc", inside, forcing)
+        columns[..., dim:] = _times(inside, forcing)
         columns[..., -1] = residual
         # In units of the components: pivots of coordinates and momenta are comparable in no others.
         scaled = jacobians * scale / scale[:, None]
         solution = _solved(inside, scaled, columns / scale[:, None]) * scale[:, None]
-        driven = np.einsum("kjab,kjbc->kjac", jacobians, solution)
+        driven = jacobians @ solution
         driven[..., dim:] += forcing
-        ends = np.einsum("j,kjac->kac", last, driven)
+        ends = _times(last[None], driven)[:, 0]
         ends[..., :dim] += np.eye(dim)
         ends[..., -1] += gaps
         self.inside[block], self.ends[block], self.residual[block] = solution, ends, residual
@@ -113,6 +113,12 @@ def _extended_rates(problem: Problem, states: np.ndarray, times: np.ndarray) -> 
         return field(states, times)
 
 
+def _times(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Multiply values at the points of windows, shape (k, nodes, ...), by a matrix."""
+    windows, nodes, *rest = columns.shape
+    return (matrix @ columns.reshape(windows, nodes, -1)).reshape(windows, len(matrix), *rest)
+
+
 def _solved(inside: np.ndarray, jacobians: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Solve X = columns + S J X at the points of each window, S the integration matrix."""
     half = jacobians.shape[-1] // 2
@@ -121,17 +127,18 @@ def _solved(inside: np.ndarray, jacobians: np.ndarray, columns: np.ndarray) -> n
     if any(block.any() for block in others) or (drift != drift[:, :1]).any():
         return _each_solved(inside, jacobians, columns)
     # Coordinates alone, of an equation of half the size: H is quadratic in the momenta.
-    moved = columns[..., :half, :] + np.einsum(
-        "ij,kjac->kiac", inside, drift @ columns[..., half:, :]
-    )
+    moved = columns[..., :half, :] + _times(inside, drift @ columns[..., half:, :])
     coordinates = _each_solved(inside @ inside, drift @ force, moved)
-    momenta = np.einsum("ij,kjac->kiac", inside, force @ coordinates) + columns[..., half:, :]
+    momenta = _times(inside, force @ coordinates) + columns[..., half:, :]
     return np.concatenate((coordinates, momenta), axis=2)
 
 
 def _each_solved(inside: np.ndarray, jacobians: np.ndarray, columns: np.ndarray) -> np.ndarray:
     windows, nodes, dim, _ = columns.shape
     size = nodes * dim
-    matrices = np.einsum("ij,kjab->kiajb", inside, jacobians).reshape(windows, size, size)
-    found = solved(np.eye(size) - matrices, columns.reshape(windows, size, -1))
+    rows = jacobians.swapaxes(1, 2).reshape(windows, 1, dim, size)  # a, then j and b
+    matrices = -np.repeat(inside, dim, axis=1)[:, None] * rows
+    matrices = matrices.reshape(windows, size, size)
+    matrices[:, np.arange(size), np.arange(size)] += 1
+    found = solved(matrices, columns.reshape(windows, size, -1))
     return found.reshape(columns.shape)
