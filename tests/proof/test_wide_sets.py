@@ -11,7 +11,7 @@ import hamsym
 from hamsym import Ball, Hamiltonian, enclose
 from hamsym.errors import CertificationError, InputError
 from hamsym.proof.arithmetic.taylor_models import space_of
-from hamsym.proof.boxes import carried_errors
+from hamsym.proof.boxes import carried_errors, wide_sets
 from hamsym.proof.boxes.wide_sets import SetWindow
 from hamsym.proof.windows.enclose import _Problem
 from tests.audit.taylor import Equations, integrate
@@ -205,6 +205,13 @@ def test_split_sets_contain_solutions():
         _, z0 = drawn(rng, case.start)
         for t, state in zip([3.0, 4.0], truth(case, z0, [3.0, 4.0]), strict=True):
             assert (np.abs(state - found(t).mid) <= found(t).radius).all()
+
+
+def test_last_step_is_not_halved_without_end(monkeypatch):
+    monkeypatch.setattr(wide_sets, "_FINE", np.inf)  # shorter steps are tried, and do not help
+    for end in (2.4, 2.6):
+        found = in_parts(Case(PENDULUM, (Ball(2.5, 0.2), Ball(0.0, 0.1)), (0.0, end)))
+        assert len(found.windows) < 30
 
 
 @pytest.mark.slow
