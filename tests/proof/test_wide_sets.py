@@ -211,7 +211,7 @@ def test_last_step_is_not_halved_without_end(monkeypatch):
     monkeypatch.setattr(wide_sets, "_FINE", np.inf)  # shorter steps are tried, and do not help
     for end in (2.4, 2.6):
         found = in_parts(Case(PENDULUM, (Ball(2.5, 0.2), Ball(0.0, 0.1)), (0.0, end)))
-        assert len(found.windows) < 30
+        assert found.windows[-1].half > 1e-3
 
 
 @pytest.mark.slow

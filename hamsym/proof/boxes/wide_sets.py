@@ -209,7 +209,6 @@ class WideSet:
     def step(self) -> SetWindow:
         """The next step; raise CertificationError if there is none."""
         longest, before, halvings = self._length, np.inf, 0
-        longer: tuple[Fraction, _Candidate] | None = None
         reason = "the set of solutions became too wide for"
         while True:
             t = float(self._begin + self._direction * self.elapsed)
@@ -236,19 +235,16 @@ class WideSet:
             worst = float(found.ratio.max()) if np.isfinite(found.ratio).all() else np.inf
             if worst <= 1:
                 return self._accept(length, found)
-            # Where these terms are small already, a shorter step does not help.
-            resolved = reach > _FINE
+            # Where these terms are small already, a shorter step does not help; and the end of the
+            # span, which is as short as it is, would be halved without end.
+            resolved = reach > _FINE or length * 2**_HALVINGS < longest
             wide = ~(found.ratio <= self._patience(length))
             if halvings < _HALVINGS and not resolved and not worst > _GAIN * before:
-                before, longer, halvings = worst, (length, found), halvings + 1
-                self._length = length / 2
+                before, halvings, self._length = worst, halvings + 1, length / 2
             elif wide.any() and self.parts + wide.sum() <= self._most:
                 self._split(Parts.halving(wide, self._axes(found.models)))
-                self._length, before, longer, halvings = longest, np.inf, None, 0
+                self._length, before, halvings = longest, np.inf, 0
             elif np.isfinite(found.errors.bound).all():
-                # A last step would be halved without end, if its halves were taken.
-                if longer and worst > _GAIN * before and np.isfinite(longer[1].errors.bound).all():
-                    length, found = longer
                 if (found.errors.bound > found.extent).all(axis=0).any():
                     raise self._refusal(t, reason)
                 window = self._accept(length, found)
