@@ -175,7 +175,7 @@ class BlockSolver:
     def packed(self, batch: Batch | None) -> Packed:
         """Return the windows of a batch, of which the errors are not kept."""
         dim, columns = self._members.H.dim, self._family.series.shape[1]
-        none = np.empty((0, self._family.terms[-1], dim)), np.empty((0, dim))
+        none = np.empty((0, self._family.degrees, dim)), np.empty((0, dim))
         if batch is None:
             return Packed(np.empty(0), np.empty((0, dim)), np.empty((0, columns, dim)), *none)
         return Packed(batch.edges, batch.states, batch.readouts, *none)
@@ -189,9 +189,7 @@ class BlockSolver:
         table.counts[place], table.evaluations[place] = len(march.readouts), march.evaluations
         table.excess[place] = error.excess(accuracy.allowed(error.scale))
         table.largest[place], table.sizes[place] = error.largest, march.scale
-        series = np.zeros((len(error.series), self._family.terms[-1], error.series.shape[2]))
-        series[:, : error.series.shape[1]] = error.series
-        return Packed(march.edges, march.states, march.readouts, series, error.floors)
+        return Packed(march.edges, march.states, march.readouts, error.series, error.floors)
 
 
 def _note(solution: Solution) -> Note:

@@ -20,7 +20,7 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.problems.description import attributes_of
 from hamsym.problems.observed import observed, observed_variable
 from hamsym.random_features.basis import basis_of_series, size_of
-from hamsym.random_features.error_estimate import TERMS, MarchError, estimate_error
+from hamsym.random_features.error_estimate import RESOLUTIONS, MarchError, estimate_error
 from hamsym.random_features.features import Features
 from hamsym.random_features.flow import flow_of
 from hamsym.random_features.march import origin_of
@@ -86,9 +86,9 @@ class Family:
         return origin_of(self.H.time is None, self.span)
 
     @property
-    def terms(self) -> tuple[int, ...]:
-        """Numbers of terms that estimated errors have; they are kept with the last."""
-        return TERMS[size_of(self.series.shape[1]).nodes]
+    def degrees(self) -> int:
+        """Terms of the series of an estimated error."""
+        return RESOLUTIONS[size_of(self.series.shape[1]).nodes][0][-1]
 
     @cached_property
     def solver(self) -> MemberSolver | None:
@@ -319,10 +319,9 @@ class Solutions(Drawn, Saved):
         own, note = table.packed(self.windows, member, member + 1), table.notes[member]
         arrays = {name: getattr(own, name).copy() for name in ("edges", "states", "readouts")}
         march = unpacked(March, {**arrays, "scale": table.sizes[member].copy()}, note.march)
-        terms = next(count for count in self.family.terms if not own.error[:, count:].any())
         error = MarchError(
             march.edges,
-            own.error[:, :terms].copy(),
+            own.error.copy(),
             own.floors.copy(),
             table.largest[member].copy(),
             np.array(note.scale),

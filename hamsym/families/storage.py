@@ -309,7 +309,7 @@ def _row_shapes(family: Family) -> dict[str, tuple[int, ...]]:
         "edges": (),
         "states": (dim,),
         "readouts": (columns, dim),
-        "error": (family.terms[-1], dim),
+        "error": (family.degrees, dim),
         "floors": (dim,),
     }
 

@@ -276,9 +276,12 @@ static void disturb_vectors(carrying *m, const equations *H, const error_tables 
     double noise = __builtin_sqrt(dot(change, change, places) / places);
     /* The places average the round-off, but not independently. */
     double kick = COHERENT * length * (noise + EPS * m->speeds[i]) / __builtin_sqrt(places) / s->scale[i];
+    /* Times at which H switches are few: their random signs may cancel, those of the last vector do not. */
+    double late = s->late ? s->late[k * dim + i] / s->scale[i] : 0.0;
+    kick += late;
     for (long j = 0; j < count; j++) joint[i * m->each + 1 + j] += kick * kicks[i * count + j];
     double push = s->rounded * (EPS / 2) * (w->state[(k + 1) * dim + i] - w->state[k * dim + i]);
-    joint[(i + 1) * m->each - 1] += push / s->scale[i];
+    joint[(i + 1) * m->each - 1] += push / s->scale[i] + late;
   }
 }
 
@@ -322,7 +325,9 @@ static double find_error(carrying *m, const equations *H, const error_tables *t,
   for (long i = 0; i < dim; i++)
     for (long c = 0; c < n; c++) m->smooth[i * n + c] = m->vectors[i * m->each * n + c] * s->scale[i];
   products(rule->lift, n, count, m->smooth, dim, m->found);
-  for (long c = 0; c < dim * count; c++) m->found[c] -= h * m->drift_inside[c];
+  /* The vectors lack what oscillates faster than their nodes show. */
+  products(rule->beyond, count, count, m->pushed, dim, m->shown);
+  for (long c = 0; c < dim * count; c++) m->found[c] -= h * (m->drift_inside[c] + h * m->shown[c]);
   double size = 0.0;
   for (long i = 0; i < dim; i++) size = larger(row_size(m->found + i * count, count) / s->scale[i], size);
   return size;

@@ -29,11 +29,11 @@ enum mark { UNRESOLVED = 1, EXCESSIVE = 2, BENT = 4, UNBOUNDED = 8 };
 #define SLACK 10.0      /* times the residual that the march allows at its own places */
 
 /* Nodes of the tangent equation: with `drift`, the integral of values at the places, without what it has beyond the
-   degree of the nodes; `lift`, the interpolation to the places; `last`, the last two coefficients of a series in two
+   degree of the nodes, and `beyond`, that at the places; `lift`, the interpolation to the places; `last`, the last two coefficients of a series in two
    of eight columns. */
 typedef struct {
   int64_t nodes;
-  const double *node, *at_nodes, *drift, *integration, *twice, *lift, *end, *last;
+  const double *node, *at_nodes, *drift, *beyond, *integration, *twice, *lift, *end, *last;
 } rule;
 
 /* Tables of the estimate; see hamsym/random_features/error_estimate.py. */
@@ -62,6 +62,7 @@ typedef struct {
   double rounded;        /* 1 if H has numbers that float64 cannot represent, else 0 */
   const double *scale, *size, *sign, *kick, *parameters;
   const double *residual; /* windows x dim x places, in place of that in float64, or null */
+  const double *late;     /* windows x dim: errors of the states since the start was rounded, or null */
 } error_settings;
 
 typedef struct {

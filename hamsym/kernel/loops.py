@@ -309,7 +309,7 @@ class Rule(Record):
 
     _fields_ = [
         *counts("nodes"),
-        *arrays("node at_nodes drift integration twice lift end last"),
+        *arrays("node at_nodes drift beyond integration twice lift end last"),
     ]
     _lanes, _constant = "nodes", True
 
@@ -342,7 +342,7 @@ class ErrorSettings(Record):
     _fields_ = [
         *counts("period width"),
         *numbers("tolerance accuracy usual_length rounded"),
-        *arrays("scale size sign kick parameters residual"),
+        *arrays("scale size sign kick parameters residual late"),
     ]
 
 

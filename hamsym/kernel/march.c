@@ -30,7 +30,7 @@
 #define RETRIES 3
 /* Of a length at which the iteration failed: the longest of the next windows, and the growth of it with each. */
 #define RETRIED 0.9
-#define LATER 1.02
+#define LATER 1.1
 #define SMALL_MATRIX 100.0
 
 /* -- memory ------------------------------------------------------------------------------------ */

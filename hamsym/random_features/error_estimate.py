@@ -35,19 +35,15 @@ from hamsym.solution.times import shown_time
 from hamsym.solution.window_error import WindowError
 
 #: Coarse and fine nodes for the tangent equation and nodes for the residual, by the nodes of the
-#: basis: of the estimate, of that of a march to a loose tolerance, whose windows are long, and of
-#: the check.
+#: basis: of the estimate, and of the check.
 RESOLUTIONS = {
-    16: ((8, 16, 24), (16, 24, 32), (40, 40, 72)),
-    24: ((8, 24, 32), (16, 24, 32), (40, 40, 72)),
+    16: ((8, 16, 24), (40, 40, 72)),
+    24: ((8, 24, 32), (40, 40, 72)),
 }
-_USUAL, _LOOSE, _FINE = range(3)
-#: Terms of the series of errors that marches estimate, by the nodes of the basis.
-TERMS = {nodes: (usual[-1], loose[-1]) for nodes, (usual, loose, _) in RESOLUTIONS.items()}
+_USUAL, _FINE = range(2)
 #: Last coefficients of the vectors at the coarse nodes, times their accuracy, at most: those left
-#: out are smaller by a factor, which is closer to one in long windows.
-_RESOLVED = (100.0, 10.0, 10.0)
-_LOOSE_TOLERANCE = 1e-8  # local
+#: out are smaller by a factor.
+_RESOLVED = (100.0, 10.0)
 #: Random vectors that represent round-off, by the nodes of the basis, and the standard deviations
 #: that it may have as they show them: with the same chance. The small basis is far from round-off.
 _PERTURBATIONS = {16: (2, 5.0), 24: (4, 3.0)}
@@ -55,6 +51,8 @@ _PERIOD = 509  # windows after which the signs of the perturbations repeat
 # Of the vectors after all windows, and the least number of these. What is left at the peak of a
 # close passage remains, when the errors shrink again by orders of magnitude.
 ACCURACY, FEWEST = 1e-4, 10.0
+_EPS = float(np.finfo(float).eps)
+_BESIDE = 16.0  # roundings from a time at which H may switch to one before or after
 _SCALE_SAMPLES = 256  # windows at which the coupling of the components is averaged
 
 
@@ -91,16 +89,16 @@ def estimate_error(
     basis: FeatureBasis,
     flow: Flow,
     tolerance: float = 0.0,
-    resolution: int | None = None,
+    resolution: int = _USUAL,
     residuals: np.ndarray | None = None,
 ) -> Estimate:
     """Estimate the error of a march from its residual, with the linear equation of the error.
 
     - tolerance: Local tolerance of the march.
-    - resolution: Index of :data:`RESOLUTIONS`; by default from the tolerance.
+    - resolution: Index of :data:`RESOLUTIONS`.
     - residuals: In place of those computed in float64, shape (windows, dim, places).
     """
-    tables = error_tables(basis, resolution_for(tolerance) if resolution is None else resolution)
+    tables = error_tables(basis, resolution)
     count, _, dim = windows.readouts.shape
     scale = _scales(windows, flow)
     # Round-off does not move components at rest, of which the formulas give the rate 0.
@@ -121,6 +119,7 @@ def estimate_error(
         kick=kicks(tables.perturbations, dim) * moved[:, None],
         parameters=flow.parameters,
         residual=residuals,
+        late=_late(windows, flow) if flow.switched_in_time else None,
     )
     joint = np.zeros((dim, tables.perturbations + 2))
     series = np.full((count, tables.places, dim), np.inf)
@@ -167,13 +166,8 @@ def estimate_error(
     )
 
 
-def resolution_for(tolerance: float) -> int:
-    """Return the resolution of the estimate of a march to a local tolerance."""
-    return _USUAL if tolerance <= _LOOSE_TOLERANCE else _LOOSE
-
-
 @functools.lru_cache(maxsize=16)
-def error_tables(basis: FeatureBasis, resolution: int = 0) -> ErrorTables:
+def error_tables(basis: FeatureBasis, resolution: int = _USUAL) -> ErrorTables:
     """Make the tables of the estimate for a basis."""
     coarse, usual, inside = RESOLUTIONS[len(basis.nodes)][resolution]
     perturbations, deviations = _PERTURBATIONS[len(basis.nodes)]
@@ -196,6 +190,7 @@ def error_tables(basis: FeatureBasis, resolution: int = 0) -> ErrorTables:
             node=found.nodes,
             at_nodes=basis.columns(found.nodes.astype(exact))[0].astype(float).T,
             drift=integral(found.nodes, nodes),
+            beyond=integral(fine.nodes) - integral(fine.nodes, nodes),
             integration=found.integration[:-1].T,
             twice=squared(found.integration[:-1]).T,
             lift=found.interpolation(fine.nodes).T,
@@ -257,6 +252,17 @@ def terms_of(flow: Flow) -> Actions:
     velocities = sum(target < half for target, *_ in terms)
     array = np.array(terms, dtype=loops.TERM)
     return Actions(velocities=velocities, terms=len(terms), linear=flow.programs.linear, term=array)
+
+
+def _late(windows: March, flow: Flow) -> np.ndarray:
+    """Return the errors of states at starts of windows where H switches, as times are rounded."""
+    edges, states = windows.edges[1:-1], windows.states[1:-1]
+    rounding = _EPS / 2 * np.abs(edges)
+    with np.errstate(all="ignore"):
+        jumps = np.subtract(
+            *(flow.vector_field(states, edges + side * rounding) for side in (_BESIDE, -_BESIDE))
+        )
+    return np.vstack([np.zeros(states.shape[1]), np.abs(jumps) * rounding[:, None]])
 
 
 def _resting(windows: March, flow: Flow) -> list[int]:

@@ -13,7 +13,7 @@ from hamsym.bounds.residual import is_short_polynomial
 from hamsym.codegen.programs import programs_of
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.kernel.loops import Equations as Programs
-from hamsym.solution.discontinuities import has_switches
+from hamsym.solution.discontinuities import has_switches, has_time_switches
 
 
 @dataclass(frozen=True, eq=False)  # one object per H, so that its tables can be cached
@@ -44,6 +44,8 @@ class Flow:
     rounded: bool = False
     #: Whether they have abs, sign, Min or Max of the state.
     switched: bool = False
+    #: Whether they have these, or Heaviside, of the time alone.
+    switched_in_time: bool = False
 
 
 @functools.lru_cache(maxsize=64)
@@ -76,6 +78,7 @@ def flow_of(H: Hamiltonian) -> Flow:
         resting=lambda z, candidates: form.resting(z.tolist(), candidates.tolist()),
         rounded=any(map(has_rounded_numbers, form.formulas)),
         switched=has_switches(H),
+        switched_in_time=has_time_switches(H),
     )
 
 

@@ -30,7 +30,6 @@ from hamsym.random_features.error_estimate import (
     disturbances,
     error_tables,
     kicks,
-    resolution_for,
     terms_of,
 )
 from hamsym.random_features.flow import Flow, flow_of
@@ -252,7 +251,7 @@ class MemberSolver:
 @functools.lru_cache(maxsize=64)
 def _shared(flow: Flow, basis: FeatureBasis, local: float) -> Shared:
     """Return what the members of one H share."""
-    tables, dim = error_tables(basis, resolution_for(local)), flow.programs.dim
+    tables, dim = error_tables(basis), flow.programs.dim
     signs, kicked = node_signs(basis, dim), kicks(tables.perturbations, dim)
     return Shared(
         equations=flow.programs,

@@ -46,7 +46,9 @@ from hamsym.solution.times import shown_time
 from hamsym.solution.window_error import allowed_errors
 
 _SMALL_BASIS = 1e-10  # tolerance from which the small basis takes less time
-_LOCAL = 0.1  # local tolerance of the first march, relative to the tolerance
+# Local tolerance of the first march, relative to the tolerance, and at most: longer windows take as
+# many evaluations each, and errors that grow need a second march.
+_LOCAL, _MOST_LOCAL = 0.1, 1e-8
 _ATTEMPTS = 6
 _LOOSER, _NEAR_ROUND_OFF = 4.0, 1e-11  # local tolerance of a march after one that is in doubt
 _JUMP_SAMPLES = 25  # of a window, in the search for jumps of the force
@@ -80,7 +82,7 @@ def checked_accuracy(
     return Accuracy(
         tol,
         # The cost grows as a root of the accuracy: a margin is cheaper than a second march.
-        max(_LOCAL * tol, SMALLEST),
+        min(max(_LOCAL * tol, SMALLEST), _MOST_LOCAL),
         np.array(absolute * dim if len(absolute) == 1 else absolute),
         checked_window(max_window, span, abs(span[1] - span[0]) / FEWEST_WINDOWS, MAX_WINDOWS),
     )

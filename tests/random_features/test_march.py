@@ -75,7 +75,7 @@ def test_estimate_is_the_error_up_to_round_off(name: str, tol: float) -> None:
     floor = solution.error.floor(t)
     # The exact solutions carry round-off of their own.
     own = 1e-13 * solution.scale
-    assert np.all(np.abs(error - estimate) <= 0.001 * np.abs(error).max(axis=0) + floor + own)
+    assert np.all(np.abs(error - estimate) <= 0.01 * np.abs(error).max(axis=0) + floor + own)
     assert np.all(solution.largest_error >= np.abs(estimate).max(axis=0))
 
 
@@ -235,11 +235,13 @@ def test_a_bounce_off_a_hard_core(tol: float) -> None:
     np.testing.assert_allclose(solution(period - s), solution(s) * [1, -1], atol=2 * tol)
 
 
-@pytest.mark.parametrize("resolved", [1e-6, 0.0])
-def test_a_march_in_doubt_is_tried_once_more(
-    monkeypatch: pytest.MonkeyPatch, resolved: float
+@pytest.mark.parametrize(
+    ("resolved", "tried"), [(1e-9, [1e-8, 1e-12]), (0.0, [1e-8, 1e-12, 4e-12])]
+)
+def test_a_march_in_doubt_is_tried_again(
+    monkeypatch: pytest.MonkeyPatch, resolved: float, tried: list[float]
 ) -> None:
-    """Shorter windows resolve what those of a loose tolerance do not, or the doubt stays."""
+    """Shorter windows resolve what long ones do not, or those less near round-off, or none do."""
     tolerances = []
 
     def doubtful(*arguments: Any, **keywords: Any) -> March:
@@ -251,8 +253,7 @@ def test_a_march_in_doubt_is_tried_once_more(
     # Members have no breakpoints.
     solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 5), tol=1e-3, breakpoints=[2])
     assert solution.success == (resolved > 0)
-    assert len(tolerances) == 2
-    assert tolerances[1] < tolerances[0]
+    assert tolerances == tried
 
 
 @pytest.mark.parametrize(("damping", "end"), [(1e4, 20.0), (1e6, 1.0)])

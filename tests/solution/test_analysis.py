@@ -148,7 +148,7 @@ def test_estimate_check_agrees_with_estimate(oscillator: Solution) -> None:
     """Of both kinds of estimate, far below the error; and it is another computation."""
     problem = nonlinear_oscillator()
     marched = hamsym.solve(problem.H, problem.z0, (0, 6), tol=1e-6)
-    for solution, share in ((oscillator, 1e-4), (marched, 1e-3)):
+    for solution, share in ((oscillator, 1e-4), (marched, 1e-2)):
         t = np.linspace(*solution.span, 301)
         estimate, check = solution.error_estimate(t), solution.error_estimate_check(t)
         assert check.shape == estimate.shape

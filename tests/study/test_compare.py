@@ -118,7 +118,9 @@ METHODS = ["yoshida4", "gauss4", "tao2", "dop853"]
 @pytest.fixture(scope="module")
 def several() -> Comparison:
     problem = nonlinear_oscillator()
-    solution = hamsym.solve(problem.H, problem.z0, (0, 5), tol=1e-4)
+    solution = hamsym.solve(
+        problem.H, problem.z0, (0, 5), tol=1e-4, method=hamsym.LevenbergMarquardt()
+    )
     return hamsym.compare(solution, METHODS, points=50, exact=problem.exact)
 
 
