@@ -9,6 +9,8 @@ import mpmath
 import numpy as np
 from numpy.polynomial import chebyshev
 
+from hamsym.numerics.pairs import Pair, fraction
+
 # Terms of a Taylor series between two Chebyshev points: polynomials through the values make half a
 # turn there at most, so that the last of them are round-off.
 _ORDERS = 24
@@ -24,8 +26,6 @@ class Collocation:
     integration: np.ndarray
     #: Values at the nodes -> Chebyshev series in 2 s - 1, shape (n, n).
     to_series: np.ndarray
-    #: ``integration`` in extended precision (numpy.longdouble).
-    extended_integration: np.ndarray
 
     def interpolation(self, s: np.ndarray) -> np.ndarray:
         """Return the matrix from values at the nodes to values at s, shape (len(s), n)."""
@@ -40,11 +40,17 @@ def turns(count: int) -> np.ndarray:
 
     Cosines of libraries differ between processors; these are rounded from more digits.
     """
+    found = _turns(count)
+    return np.asarray(found.high.astype(np.longdouble) + found.low)
+
+
+@functools.cache
+def _turns(count: int) -> Pair:
     with mpmath.workdps(40):
         found = [mpmath.cospi(mpmath.mpf(k) / (2 * count)) for k in range(4 * count)]
         high = [float(value) for value in found]
         low = [float(value - part) for value, part in zip(found, high, strict=True)]
-    return np.array(high, dtype=np.longdouble) + np.array(low, dtype=np.longdouble)
+    return Pair(np.array(high), np.array(low))
 
 
 def chebyshev_points(count: int) -> np.ndarray:
@@ -63,9 +69,35 @@ def collocation(count: int) -> Collocation:
     integrals = chebyshev.chebint(np.eye(count, dtype=exact), lbnd=-1, scl=exact(0.5))
     places = np.append(-turns(count)[odd], exact(1))
     integration = chebyshev.chebval(places, integrals).T @ to_series
-    return Collocation(
-        chebyshev_points(count), integration.astype(float), to_series.astype(float), integration
+    return Collocation(chebyshev_points(count), integration.astype(float), to_series.astype(float))
+
+
+@functools.cache
+def precise_integration(count: int) -> Pair:
+    """Make ``integration`` of the collocation tables with 106 bits, shape (count + 1, count)."""
+    cosines, degrees = _turns(count), np.arange(count + 2)
+    odd = 2 * np.arange(count) + 1
+    # T_k at the nodes, in ascending order, which are minus these cosines, and at the end
+    inside = cosines[degrees[:, None] * odd % (4 * count)]
+    inside = np.where(degrees % 2, -1.0, 1.0)[:, None] * inside
+    ones = np.ones((count + 2, 1))
+    values = Pair(
+        np.concatenate([inside.high, ones], axis=1), np.concatenate([inside.low, 0 * ones], axis=1)
     )
+    total = Pair(np.zeros((count + 1, count)), np.zeros((count + 1, count)))
+    for k in range(count):
+        # The integral of T_k over a half, as s = (x + 1)/2, from -1 on
+        if k == 0:
+            integral = 0.5 * (values[1] + 1.0)
+        elif k == 1:
+            integral = fraction(1, 8) * (values[2] - 1.0)
+        else:
+            integral = fraction(1, 4 * (k + 1)) * values[k + 1]
+            integral = integral - fraction(1, 4 * (k - 1)) * values[k - 1]
+            integral = integral + fraction((-1) ** (k + 1), 2 * (k * k - 1))
+        weight = fraction(1 if k == 0 else 2, count)
+        total = total + integral[:, None] * (weight * inside[k])
+    return total
 
 
 @dataclass(frozen=True)

@@ -13,21 +13,31 @@ because dH/dt = alpha |grad H|^2.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
 
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.collocation import collocation
+from hamsym.numerics.pairs import Pair
 from hamsym.numerics.scales import floored_sizes
 from hamsym.numerics.windows import locate
 from hamsym.orbits.period import Period
 from hamsym.orbits.symmetry import Closing
 from hamsym.random_features.flow import flow_of
-from hamsym.support.record_fields import AnyFloat, floats
+from hamsym.support.record_fields import UNSAVED, AnyFloat, floats
 
 _FLOOR = 1e-8  # scale of a component relative to the largest of its kind
+
+
+@dataclass(frozen=True)
+class Precise:
+    """The states and the period of an arc as pairs of float64 numbers."""
+
+    ends: Pair
+    values: Pair
+    period: Pair
 
 
 @dataclass(frozen=True)
@@ -41,6 +51,8 @@ class Arc:
     #: States at the Chebyshev points.
     values: Annotated[np.ndarray, floats("windows", "nodes", "dim", finite=False)]
     period: AnyFloat
+    #: The same numbers before they were rounded, during a search.
+    _precise: Precise | None = field(default=None, repr=False, compare=False, metadata=UNSAVED)
 
     def check(self) -> None:
         """Raise ValueError unless its windows divide an arc."""
@@ -49,6 +61,25 @@ class Arc:
             raise ValueError("the windows of its arc are not in order")
         if self.values.shape[1] < 2:
             raise ValueError("its arc has no states inside its windows")
+
+    @property
+    def precise(self) -> Precise:
+        """Its states and its period as pairs."""
+        if self._precise is not None:
+            return self._precise
+        ends, values = (Pair(part, np.zeros_like(part)) for part in (self.ends, self.values))
+        return Precise(ends, values, Pair(self.period))
+
+    def moved(self, ends: np.ndarray, values: np.ndarray, period: float) -> Arc:
+        """Add corrections to the states and to the period, with 106 bits."""
+        before = self.precise
+        after = Precise(before.ends + ends, before.values + values, before.period + period)
+        high = after.ends.high, after.values.high, float(after.period.high)
+        return Arc(self.edges, *high, after)
+
+    def rounded(self) -> Arc:
+        """Return the arc in float64."""
+        return replace(self, _precise=None)
 
     @property
     def scale(self) -> np.ndarray:
@@ -72,10 +103,25 @@ class Arc:
         return np.asarray((np.abs(series[:, -3:]) / self.scale).max(axis=(1, 2)))
 
     def on(self, edges: np.ndarray, nodes: int) -> Arc:
-        """Interpolate to other windows with another number of points."""
-        points = edges[:-1, None] + np.diff(edges)[:, None] * collocation(nodes).nodes
-        values = self.at(points.ravel()).reshape(*points.shape, -1)
-        return Arc(edges, self.at(edges), values, self.period)
+        """Interpolate to parts of its windows, with another number of points."""
+        window, _ = locate(self.edges, (edges[:-1] + edges[1:]) / 2)
+        begin, width = self.edges[:-1][window], np.diff(self.edges)[window]
+        # Windows may be so short that the points have few digits of their own as fractions.
+        places = np.stack([edges[:-1] - begin, edges[1:] - begin], axis=1) / width[:, None]
+        rule, inside = collocation(self.values.shape[1]), collocation(nodes).nodes
+        values = np.empty((len(window), nodes, self.ends.shape[1]))
+        starts = np.empty((len(window), self.ends.shape[1]))
+        for low, high in np.unique(places, axis=0).tolist():
+            rows = (places == (low, high)).all(axis=1)
+            table = rule.interpolation(np.append(low, low + (high - low) * inside))
+            found = table @ self.values[window[rows]]
+            starts[rows], values[rows] = found[:, 0], found[:, 1:]
+        states, own = np.concatenate([starts, self.ends[-1:]]), self.precise
+        ends = Pair(states, np.zeros_like(states))
+        kept, known = np.isin(edges, self.edges), np.isin(self.edges, edges)
+        ends.high[kept], ends.low[kept] = own.ends.high[known], own.ends.low[known]
+        precise = Precise(ends, Pair(values, np.zeros_like(values)), own.period)
+        return Arc(edges, states, values, self.period, precise)
 
 
 @dataclass(frozen=True)

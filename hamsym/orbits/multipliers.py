@@ -18,7 +18,8 @@ import scipy
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.symplectic import poisson_product
 from hamsym.orbits.integrals import directions, gradients_from, integrals_of, natural_sizes
-from hamsym.orbits.symmetry import SignedPermutation
+from hamsym.orbits.symmetry import Closing, SignedPermutation
+from hamsym.random_features.flow import flow_of
 
 _PARABOLIC = 1e-5  # distance of a multiplier from 1 or -1 that round-off may cause
 _ON_CIRCLE = 1e-6  # distance of |multiplier| from 1 that round-off may cause
@@ -31,18 +32,27 @@ _RANK = 1e-8  # singular values relative to the largest that count as zero
 
 
 def reduced_map(
-    matrix: np.ndarray, gradients: np.ndarray, rate: np.ndarray | None, scale: np.ndarray
+    closing: Closing,
+    maps: np.ndarray,
+    gradients: np.ndarray,
+    rates: np.ndarray | None,
+    scale: np.ndarray,
 ) -> np.ndarray:
-    """Return the map of states within the level of all integrals, across their symmetries.
+    """Return the shift map within the level of all integrals, across their symmetries.
 
-    The matrix maps the tangent space V of the level to itself, and those directions J grad I, with
-    integrals I, that lie in V: the symmetries that keep the values of all integrals, among them the
-    flow. The reduced map acts on V modulo these, in an orthonormal basis. Of integrals that do not
-    commute, as the angular momenta of a motion in space, fewer directions lie in V.
+    The flow of each window maps the tangent space V of the level at its start to that at its end,
+    and those directions J grad I, with integrals I, that lie in V: the symmetries that keep the
+    values of all integrals, among them the flow. The reduced map acts on V modulo these, in an
+    orthonormal basis. Of integrals that do not commute, as the angular momenta of a motion in
+    space, fewer directions lie in V.
 
-    - matrix: Of a symplectic map if there are integrals, shape (dim, dim).
-    - gradients: Of the integrals, shape (n, dim); they may depend on each other.
-    - rate: A vector field that the matrix maps to itself, beside those of the integrals.
+    Each window is reduced by itself: in a close encounter round-off of the other directions would
+    grow, and come back into V.
+
+    - maps: Derivatives of the windows' flows, symplectic if there are integrals, (k, dim, dim).
+    - gradients: Of the integrals at the ends of windows, which may depend on each other, shape
+      (k + 1, n, dim).
+    - rates: A vector field that the maps carry along, beside those of the integrals, (k + 1, dim).
     - scale: Units of the components.
 
     Examples
@@ -53,26 +63,42 @@ def reduced_map(
     >>> c, s = np.cos(0.3), np.sin(0.3)
     >>> matrix = np.zeros((4, 4))
     >>> matrix[::2, ::2], matrix[1::2, 1::2] = shear, [[c, s], [-s, c]]
-    >>> reduced = reduced_map(matrix, np.array([[0, 0, 1.0, 0]]), None, np.ones(4))
+    >>> closing = Closing(SignedPermutation.identity(4))
+    >>> gradient = np.array([[[0, 0, 1.0, 0]]] * 2)
+    >>> reduced = reduced_map(closing, matrix[None], gradient, None, np.ones(4))
     >>> np.round(np.abs(np.angle(np.linalg.eigvals(reduced))), 12)
     array([0.3, 0.3])
     """
     units = _canonical(scale)
-    scaled = matrix * units / units[:, None]
+    scaled = maps * units / units[:, None]
     slopes = gradients * units
     if not all(np.isfinite(part).all() for part in (scaled, slopes)):
-        return np.full(matrix.shape, math.nan)
-    slopes = _basis(slopes)
-    # J grad I, and those combinations whose brackets with all integrals vanish
-    fields = poisson_product(slopes.T)
+        return np.full(maps.shape[1:], math.nan)
+    # independent combinations at the start, which are so everywhere
+    slopes = _combinations(slopes[0]) @ slopes
+    fields = poisson_product(slopes[0].T)
     trivial = slopes
-    if len(slopes):
-        _, singular, right = scipy.linalg.svd(slopes @ fields)
-        trivial = np.concatenate([slopes, (fields @ right[singular <= _RANK].T).T])
-    if rate is not None:
-        trivial = np.concatenate([trivial, _basis(rate[None] / units)])
-    across = scipy.linalg.null_space(trivial, rcond=_RANK) if len(trivial) else np.eye(len(scale))
-    return np.asarray(across.T @ scaled @ across)
+    if slopes.shape[1]:
+        # J grad I of those combinations whose brackets with all integrals vanish
+        _, singular, right = scipy.linalg.svd(slopes[0] @ fields)
+        neutral = right[singular <= _RANK] @ slopes
+        moves = np.moveaxis(poisson_product(np.moveaxis(neutral, 2, 0)), 0, 2)
+        trivial = np.concatenate([slopes, moves], axis=1)
+    if rates is not None:
+        trivial = np.concatenate([trivial, (rates / units)[:, None]], axis=1)
+    across = _complements(trivial)
+    through = np.eye(across.shape[2])
+    for before, window, after in zip(across[:-1], scaled, across[1:], strict=True):
+        through = after.T @ (window @ before) @ through
+
+    def between(symmetry: SignedPermutation, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        return np.asarray(after.T @ ((symmetry.matrix * units / units[:, None]) @ before))
+
+    start, end = across[0], across[-1]
+    if closing.first is None or closing.last is None:
+        return between(closing.shift.power(closing.order - 1), end, start) @ through
+    last = between(closing.last, end, end) @ through
+    return between(closing.first, start, start) @ np.linalg.solve(through, last)
 
 
 def _canonical(scale: np.ndarray) -> np.ndarray:
@@ -82,15 +108,21 @@ def _canonical(scale: np.ndarray) -> np.ndarray:
     return np.concatenate([ratio, 1 / ratio])
 
 
-def _basis(rows: np.ndarray) -> np.ndarray:
-    """An orthonormal basis of the span of rows of any sizes."""
-    largest = np.abs(rows).max(axis=1)  # squares of small numbers may underflow
-    rows = rows[largest > 0] / largest[largest > 0, None]
-    rows = rows / np.linalg.norm(rows, axis=1, keepdims=True)
-    if not len(rows):
-        return rows
-    _, singular, right = scipy.linalg.svd(rows, full_matrices=False)
-    return np.asarray(right[singular > _RANK * singular[0]])
+def _combinations(rows: np.ndarray) -> np.ndarray:
+    """Combinations of rows of any sizes that are an orthonormal basis of their span."""
+    largest = np.abs(rows).max(axis=1, initial=0.0)  # squares of small numbers may underflow
+    sizes = np.where(largest > 0, largest, 1.0)
+    sizes = sizes * np.maximum(np.linalg.norm(rows / sizes[:, None], axis=1), _UNIT)
+    left, singular, _ = scipy.linalg.svd(rows / sizes[:, None], full_matrices=False)
+    kept = singular > _RANK * singular.max(initial=0.0)
+    return np.asarray((left[:, kept] / singular[kept]).T / sizes)
+
+
+def _complements(rows: np.ndarray) -> np.ndarray:
+    """Orthonormal bases across rows, shape (k, n, dim) -> (k, dim, dim - n)."""
+    rows = rows / np.abs(rows).max(axis=2, keepdims=True)
+    rows = rows / np.linalg.norm(rows, axis=2, keepdims=True)
+    return np.linalg.qr(rows.swapaxes(1, 2), mode="complete")[0][:, :, rows.shape[1] :]
 
 
 def has_shear(monodromy: np.ndarray, scale: np.ndarray) -> bool:
@@ -248,23 +280,29 @@ _ROUND_OFF = 1e-7  # of a gradient, relative to its natural size
 
 
 def gradients_of_integrals(
-    H: Hamiltonian, state: np.ndarray, scale: np.ndarray, shift: SignedPermutation
+    H: Hamiltonian, states: np.ndarray, scale: np.ndarray, shift: SignedPermutation
 ) -> np.ndarray:
-    """Return gradients of the integrals of H at a state, shape (n, dim).
+    """Return gradients of the integrals of H at states, shape (k, dim) -> (k, n, dim).
 
     Beside the integrals there are their images under a symmetry, so that it maps the span of the
-    gradients to itself. Gradients that are round-off are left out.
+    gradients to itself. Those that are round-off at the first state are left out.
 
-    - state, scale: A state and the sizes of its components, shape (dim,).
+    - scale: Sizes of the components, shape (dim,).
     - shift: A symplectic symmetry of H.
     """
     integrals = integrals_of(H)
-    found = [np.zeros((0, H.dim))]
+    found = [np.zeros((len(states), 0, H.dim))]
     for k in range(shift.order if integrals else 0):
         power = shift.power(k)
-        moved, units = power(state), np.abs(power(scale))
-        fields = directions(integrals, moved)
-        least = _ROUND_OFF * natural_sizes(integrals, moved, units)
-        fields = fields[np.abs(fields / units).max(axis=1) > least]
-        found.append(gradients_from(fields) @ power.matrix)
-    return np.concatenate(found)
+        moved, units = power(states), np.abs(power(scale))
+        least = _ROUND_OFF * natural_sizes(integrals, moved[0], units)
+        kept = np.abs(directions(integrals, moved[0]) / units).max(axis=1) > least
+        times = np.zeros(len(states))
+        fields = [
+            flow_of(each).vector_field(moved, times)
+            for each, is_kept in zip(integrals, kept, strict=True)
+            if is_kept
+        ]
+        if fields:
+            found.append(gradients_from(np.stack(fields, axis=1)) @ power.matrix)
+    return np.concatenate(found, axis=1)

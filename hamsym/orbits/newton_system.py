@@ -8,7 +8,7 @@ effort is proportional to the number of windows.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
@@ -18,6 +18,7 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.orbits.arc import Arc, Problem
 from hamsym.orbits.condensed import CondensedWindows, solved
 from hamsym.orbits.integrals import Slice
+from hamsym.orbits.precise_rates import precise_energy
 from hamsym.orbits.symmetry import Closing, SignedPermutation
 from hamsym.orbits.window_maps import WindowMaps
 
@@ -44,12 +45,7 @@ class Step:
 
     def applied(self, arc: Arc, share: float = 1.0) -> Arc:
         """Apply a share of the correction to the arc."""
-        return replace(
-            arc,
-            ends=arc.ends + share * self.ends,
-            values=arc.values + share * self.values,
-            period=arc.period + share * self.period,
-        )
+        return arc.moved(share * self.ends, share * self.values, share * self.period)
 
 
 class NewtonSystem:
@@ -76,8 +72,9 @@ class NewtonSystem:
             self._reflect(closing.last, -1)
         else:
             self._close(closing)
+        low = arc.precise.ends.low[0]
         for normal in slice.normals:
-            self._add(normal, float(normal @ (arc.ends[0] - slice.state)))
+            self._add(normal, float(normal @ (arc.ends[0] - slice.state + low)))
         if problem.period is not None and problem.autonomous:
             row = np.zeros((1, 2 * dim + self._numbers))
             row[0, 2 * dim] = 1 / arc.period
@@ -85,11 +82,12 @@ class NewtonSystem:
             self._right.append(np.array([problem.period / arc.period - 1]))
         if problem.energy is not None:
             system = problem.H.compile("numpy")
-            excess = float(system.energy(arc.ends[0])) - problem.energy
+            excess = precise_energy(problem.H, arc.precise.ends[0]) - problem.energy
             by_parameter = 0.0
             if problem.parameter is not None:
                 by_parameter = _energy_slope(problem.H, problem.parameter, arc.ends[0])
-            self._add(np.asarray(system.gradient(arc.ends[0])), excess, by_parameter)
+            slope = np.asarray(system.gradient(arc.ends[0]))
+            self._add(slope, float(excess.high), by_parameter)
         self._unknown = np.ones(2 * dim + self._numbers, dtype=bool)
         self._unknown[2 * dim] = problem.autonomous
         self._unknown[2 * dim + 1] = problem.parameter is not None
@@ -124,12 +122,14 @@ class NewtonSystem:
         )
 
     def _close(self, closing: Closing) -> None:
-        arc, dim = self._arc, self._dim
+        ends, dim = self._arc.precise.ends, self._dim
+        # Differences of nearly equal numbers are exact.
+        gaps = sum(closing.shift(part[0]) - part[-1] for part in (ends.high, ends.low))
         row = np.zeros((dim, 2 * dim + self._numbers))
         row[:, :dim] = -closing.shift.matrix
         row[:, dim : 2 * dim] = np.eye(dim)
         self._rows.append(row / self.scale[:, None])
-        self._right.append((closing.shift(arc.ends[0]) - arc.ends[-1]) / self.scale)
+        self._right.append(gaps / self.scale)
 
     def _reflect(self, symmetry: SignedPermutation, place: int) -> None:
         """Add the conditions of a reversing symmetry at the first or the last (-1) state."""
@@ -140,7 +140,9 @@ class NewtonSystem:
             row = np.roll(row, -dim, axis=1)
         weights = np.abs(conditions) @ self.scale
         self._rows.append(row / weights[:, None])
-        self._right.append(-(conditions @ self._arc.ends[place]) / weights)
+        ends = self._arc.precise.ends
+        gaps = sum(conditions @ part[place] for part in (ends.high, ends.low))
+        self._right.append(-gaps / weights)
 
     def _add(self, slope: np.ndarray, excess: float, by_parameter: float = 0.0) -> None:
         """Add the equation of the first state: slope . correction + by_parameter ... = -excess."""

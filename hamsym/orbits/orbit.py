@@ -14,6 +14,7 @@ import numpy as np
 import hamsym
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
+from hamsym.numerics.collocation import collocation
 from hamsym.numerics.scales import floored_sizes
 from hamsym.numerics.symplectic import symplectic_inverse
 from hamsym.orbits.arc import Arc, Problem, vector_field_at
@@ -27,7 +28,7 @@ from hamsym.orbits.multipliers import (
     stability_of,
 )
 from hamsym.orbits.period import period_of
-from hamsym.orbits.search import check, first_arc, first_return, refined, shot
+from hamsym.orbits.search import check, converged, first_arc, first_return, refined, shot
 from hamsym.orbits.symmetry import closing_of
 from hamsym.random_features.flow import flow_of
 from hamsym.solution.discontinuities import first_jump, has_switches
@@ -195,12 +196,12 @@ class PeriodicOrbit(Drawn, Saved):
     @cached_property
     def _reduced(self) -> np.ndarray:
         """The shift map without the directions of integrals and of their symmetries."""
-        problem, z0 = self.problem, self.z0
-        gradients = gradients_of_integrals(self.H, z0, self.arc.scale, problem.closing.shift)
-        rate = vector_field_at(self.H, z0, problem.start) if problem.autonomous else None
-        if problem.conservative:
-            rate = None  # that of H
-        return reduced_map(self.shift_map, gradients, rate, self.arc.scale)
+        problem, ends, scale = self.problem, self.arc.ends, self.arc.scale
+        gradients = gradients_of_integrals(self.H, ends, scale, problem.closing.shift)
+        rates = None
+        if problem.autonomous and not problem.conservative:  # else it is that of H
+            rates = flow_of(self.H).vector_field(ends, np.full(len(ends), problem.start))
+        return reduced_map(problem.closing, self._maps, gradients, rates, scale)
 
     @cached_property
     def shift_multipliers(self) -> np.ndarray:
@@ -394,6 +395,10 @@ def solved_orbit(
         if better is not arc:
             found = refined(problem, better)
     finer, step, error = check(problem, found.arc)
+    if not (found.failure or error <= tol):  # unstable orbits multiply what windows leave out
+        found = converged(problem, finer)
+        finer, step, error = check(problem, found.arc)
+    finer = finer.rounded()
     if problem.closing.first is not None:  # exactly in its fixed set, for signed zeros too
         finer.ends[0] = (finer.ends[0] + problem.closing.first(finer.ends[0])) / 2 + 0.0
     orbit = PeriodicOrbit(problem, finer, False, "", error, not step.singular, 1, step.maps)
@@ -453,8 +458,10 @@ def _guess(H: Hamiltonian, guess: Any) -> tuple[np.ndarray, float | None]:
 
 def _first_part(arc: Arc, repetitions: int) -> Arc:
     """The first of several equal parts of an arc, on windows of its own."""
-    whole = arc.on(arc.edges / repetitions, arc.values.shape[1])
-    return replace(whole, edges=arc.edges, period=arc.period / repetitions)
+    edges = arc.edges / repetitions
+    points = edges[:-1, None] + np.diff(edges)[:, None] * collocation(arc.values.shape[1]).nodes
+    values = arc.at(points.ravel()).reshape(arc.values.shape)
+    return Arc(arc.edges, arc.at(edges), values, arc.period / repetitions)
 
 
 def _degenerate(problem: Problem, arc: Arc) -> str:

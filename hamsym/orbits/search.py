@@ -31,7 +31,9 @@ _SLOW, _MOST_SLOW = 0.1, 4  # share of a step that is slow, and the number of sl
 # Step from which corrections that are larger than the first one by a factor end the search.
 _WANDERS, _AWAY = 6, 3.0
 _CONVERGED = 1e-12  # size of a correction; later ones are round-off
-_TAIL = 1e-13  # coefficients that a window leaves out, relative to the components
+# Coefficients that a window leaves out, relative to the components, and those that windows are
+# halved for twice: they may be round-off of a component.
+_TAIL, _SMALL_TAIL, _SMALL_ROUNDS = 1e-13, 1e-14, 2
 _REFINEMENTS = 12
 _MOST_WINDOWS = 10_000
 _MOST_ENTRIES = 50_000_000  # of the derivatives at the points of all windows
@@ -296,7 +298,9 @@ def converged(problem: Problem, arc: Arc) -> Found:
             slow += share < _SLOW
             if slow > _MOST_SLOW:
                 return Found(trial, after, "Newton's method is too slow from this guess")
-            stalled = step.size <= 1e-7 and after.size > 0.3 * step.size
+            # Residuals fall before corrections do, which have the round-off of the linear system.
+            stalled = after.size > 0.3 * step.size and after.residual > 0.3 * step.residual
+            stalled &= step.size <= 1e-7
             arc, step = trial, after
             if stalled:
                 return Found(arc, step)
@@ -309,10 +313,10 @@ def refined(problem: Problem, arc: Arc) -> Found:
     if arc.values.shape[1] != nodes:
         arc = arc.on(arc.edges, nodes)
     found = converged(problem, arc)
-    for _ in range(_REFINEMENTS):
+    for count in range(_REFINEMENTS):
         if found.failure:
             return found
-        wide = found.arc.tails() > _TAIL
+        wide = found.arc.tails() > (_SMALL_TAIL if count < _SMALL_ROUNDS else _TAIL)
         if not wide.any():
             return found
         edges = found.arc.edges
@@ -327,11 +331,14 @@ def check(problem: Problem, arc: Arc) -> tuple[Arc, Step, float]:
     """Correct an arc with more points in each window.
 
     - returns: The corrected arc, the linear system, and the size of the correction: the estimated
-      error.
+      error of the arc in float64.
     """
     finer = arc.on(arc.edges, arc.values.shape[1] + _EXTRA_NODES)
     with np.errstate(all="ignore"):
         step = NewtonSystem(problem, finer, slice_of(problem, arc)).solved()
-    ends = np.abs(step.ends / arc.scale).max()
-    error = float(max(ends, abs(step.period) / arc.period))
-    return (step.applied(finer) if math.isfinite(step.size) else arc), step, error
+    found = step.applied(finer) if math.isfinite(step.size) else arc
+    # What is rounded of it counts as well.
+    rest = found.precise
+    ends = ((np.abs(step.ends) + np.abs(rest.ends.low)) / arc.scale).max()
+    period = (abs(step.period) + abs(rest.period.low)) / arc.period
+    return found, step, float(max(ends, period))

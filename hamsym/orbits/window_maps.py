@@ -1,8 +1,7 @@
 """The equations of collocation in the windows of an arc, solved for the points of each window.
 
-Residuals are evaluated in extended precision (numpy.longdouble, where it is more than float64):
-their round-off is what limits the accuracy of an orbit, because close encounters multiply it by
-many thousands. Newton's matrix is needed in float64 only.
+Residuals are evaluated with 106 bits: their round-off is what limits the accuracy of an orbit,
+because close encounters multiply it by many thousands. Newton's matrix is needed in float64 only.
 """
 
 from __future__ import annotations
@@ -12,10 +11,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.numerics.collocation import collocation
+from hamsym.numerics.collocation import collocation, precise_integration
 from hamsym.numerics.linear_systems import solved
+from hamsym.numerics.pairs import Pair, fraction, product
 from hamsym.orbits.arc import Arc, Problem
 from hamsym.orbits.integrals import gradients_from
+from hamsym.orbits.precise_rates import in_extended_precision, precise_rates
 from hamsym.parallel.threads import Threads
 from hamsym.random_features.flow import flow_of
 from hamsym.solution.parameters import ParameterForcing
@@ -35,6 +36,7 @@ class WindowMaps:
 
     def __init__(self, problem: Problem, arc: Arc, integrals: Sequence[Hamiltonian]) -> None:
         windows, nodes, dim = arc.values.shape
+        self._precise = arc.precise
         self._integrals, columns = integrals, dim + 3 + len(integrals)
         self.inside = np.empty((windows, nodes, dim, columns))
         self.ends = np.empty((windows, dim, columns))
@@ -59,8 +61,11 @@ class WindowMaps:
         times = (problem.start + points / problem.closing.parts * arc.period).ravel()
         states = values.reshape(-1, dim)
         rates = flow.vector_field(states, times).reshape(windows, nodes, dim)
-        jacobians = flow.jacobian(states, times).reshape(windows, nodes, dim, dim)
-        jacobians = jacobians * lengths[..., None]
+        pairs = self._precise.values[block]
+        pairs = Pair(*(part.reshape(-1, dim) for part in (pairs.high, pairs.low)))
+        # Small distances have few digits in float64.
+        jacobians = in_extended_precision(flow.jacobian, pairs, times).astype(float)
+        jacobians = jacobians.reshape(windows, nodes, dim, dim) * lengths[..., None]
         forcing = np.zeros((windows, nodes, dim, self.ends.shape[-1] - dim))
         forcing[..., 0] = rates * share
         if problem.parameter is not None:
@@ -72,7 +77,7 @@ class WindowMaps:
                 field = flow_of(integral).vector_field(states, times).reshape(rates.shape)
             forcing[..., 2 + k] = gradients_from(field) * lengths
         inside, last = rule.integration[:-1], rule.integration[-1]
-        residual, gaps = self._residuals(block, states, times)
+        residual, gaps = self._residuals(block, pairs, times)
         columns = np.zeros((windows, nodes, dim, self.ends.shape[-1]))
         columns[..., :dim] = np.eye(dim)
         columns[..., dim:] = _times(inside, forcing)
@@ -88,29 +93,20 @@ class WindowMaps:
         self.inside[block], self.ends[block], self.residual[block] = solution, ends, residual
 
     def _residuals(
-        self, block: slice, states: np.ndarray, times: np.ndarray
+        self, block: slice, states: Pair, times: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Residuals at the points and at the ends of some of the windows."""
-        arc, values = self._arc, self._arc.values[block]
-        rates = _extended_rates(self._problem, states, times).reshape(values.shape)
-        edges = arc.edges.astype(np.longdouble)
-        widths = np.diff(edges)[block] / self._problem.closing.parts
-        moved = rates * (widths * arc.period)[:, None, None]
-        integrals = np.einsum(
-            "ij,kjd->kid", collocation(values.shape[1]).extended_integration, moved
-        )
-        starts, stops = arc.ends[:-1][block], arc.ends[1:][block]
+        precise, edges = self._precise, self._arc.edges
+        values, shape = precise.values[block], self._arc.values[block].shape
+        rates = precise_rates(self._problem.H, states, times)
+        moved = Pair(rates.high.reshape(shape), rates.low.reshape(shape))
+        widths = Pair(edges[1:][block]) - edges[:-1][block]
+        lengths = widths * precise.period * fraction(1, self._problem.closing.parts)
+        moved = moved * lengths[:, None, None]
+        integrals = product(precise_integration(shape[1]), moved)
+        starts, stops = precise.ends[:-1][block], precise.ends[1:][block]
         residual = integrals[:, :-1] + starts[:, None] - values
-        return residual.astype(float), (integrals[:, -1] + starts - stops).astype(float)
-
-
-def _extended_rates(problem: Problem, states: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """The vector field in extended precision, where its functions have it."""
-    field = flow_of(problem.H).vector_field
-    try:
-        return field(states.astype(np.longdouble), times.astype(np.longdouble))
-    except TypeError:
-        return field(states, times)
+        return residual.high, (integrals[:, -1] + starts - stops).high
 
 
 def _times(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ from hamsym.orbits.multipliers import (
     reduced_map,
     stability_of,
 )
+from hamsym.orbits.symmetry import Closing, SignedPermutation
 
 ROTATION = scipy.linalg.expm(np.array([[0.0, 0.7], [-0.7, 0.0]]))
 SADDLE = np.diag([3.0, 1 / 3])
@@ -42,6 +43,14 @@ def canonical(dof, random):
     return found
 
 
+def reduced_at_rest(matrix, gradients, rate=None, scale=None):
+    """The reduced map of one window whose ends have the same gradients."""
+    closing = Closing(SignedPermutation.identity(len(matrix)))
+    rates = None if rate is None else np.array([rate, rate])
+    scale = np.ones(len(matrix)) if scale is None else scale
+    return reduced_map(closing, matrix[None], np.array([gradients, gradients]), rates, scale)
+
+
 def reduced_eigenvalues(matrix, covectors, random):
     """Those of the reduced map after a random canonical change, with random combinations."""
     dof = len(matrix) // 2
@@ -51,7 +60,7 @@ def reduced_eigenvalues(matrix, covectors, random):
     scale = np.concatenate([units, 1 / units])
     moved = change @ matrix @ np.linalg.inv(change)
     gradients = covectors @ np.linalg.inv(change)
-    reduced = reduced_map(moved * scale[:, None] / scale, gradients / scale, None, scale)
+    reduced = reduced_at_rest(moved * scale[:, None] / scale, gradients / scale, scale=scale)
     return np.sort_complex(np.linalg.eigvals(reduced))
 
 
@@ -90,12 +99,12 @@ def test_integrals_that_do_not_commute_leave_the_others(seed):
 
 def test_vector_field_is_left_out_without_integrals():
     matrix = np.diag([1.0, 0.5, 0.25, 0.2])
-    reduced = reduced_map(matrix, np.zeros((0, 4)), np.array([3.0, 0, 0, 0]), np.ones(4))
+    reduced = reduced_at_rest(matrix, np.zeros((0, 4)), np.array([3.0, 0, 0, 0]))
     np.testing.assert_allclose(np.sort(np.linalg.eigvals(reduced)), [0.2, 0.25, 0.5])
 
 
 def test_integrals_of_all_directions_leave_no_multiplier():
-    reduced = reduced_map(shear(2.0), np.array([[0.0, 1.0]]), None, np.ones(2))
+    reduced = reduced_at_rest(shear(2.0), np.array([[0.0, 1.0]]))
     assert reduced.shape == (0, 0)
     assert stability_of(np.linalg.eigvals(reduced), shear=has_shear(shear(2.0), np.ones(2))) == (
         "parabolic"

@@ -121,8 +121,9 @@ def test_arc_of_a_guess_has_no_kicks_at_the_ends_of_windows():
 @pytest.mark.slow
 def test_closest_encounters_are_found_with_their_error():
     guess, period = published("butterfly II")
-    orbit = hamsym.periodic_orbit(PLANAR, (guess, period), tol=1e-6)
+    orbit = hamsym.periodic_orbit(PLANAR, (guess, period), tol=1e-11)
     assert orbit.success
+    assert orbit.multiplier_error < 1e-7
     assert np.abs(orbit.z0 - guess).max() < 2e-6
     assert closure(orbit, 2) < 1e-6
 
@@ -137,23 +138,33 @@ def test_long_orbit_takes_the_windows_it_needs():
     assert orbit.stability == "elliptic"
 
 
+def listed(third, z0, vx, vy, vz, period):
+    """An orbit of the list of Li & Liao."""
+    guess = [-1, 0, 0, 1, 0, 0, 0, 0, z0, vx, vy, vz, vx, vy, -vz, -2 * vx, -2 * vy, 0]
+    return hamsym.periodic_orbit(three_bodies("xyz", third=third), (guess, period), tol=1e-8)
+
+
 @pytest.mark.slow
 def test_stable_orbit_with_multipliers_off_the_circle_by_round_off_is_elliptic():
-    # O_4(1.6) of Li & Liao, with close encounters
-    z0, vx, vy, vz = (
-        -7.33787057798380e-02,
-        5.61172381542911e-01,
-        -5.16977162063208e-02,
-        -4.12864096843598e-02,
-    )
-    guess = [-1, 0, 0, 1, 0, 0, 0, 0, z0, vx, vy, vz, vx, vy, -vz, -2 * vx, -2 * vy, 0]
-    orbit = hamsym.periodic_orbit(
-        three_bodies("xyz", third=1.6), (guess, 9.89467523479519), tol=1e-8
-    )
+    # O_4(1.6), with close encounters
+    start = -7.3378705779838e-02, 0.561172381542911, -5.16977162063208e-02, -4.12864096843598e-02
+    orbit = listed(1.6, *start, 9.89467523479519)
     assert orbit.success
     assert np.abs(np.abs(orbit.shift_multipliers) - 1).max() < 10 * orbit.multiplier_error
-    assert orbit.multiplier_error < 1e-3
+    assert orbit.multiplier_error < 1e-6
     assert orbit.stability == "elliptic"
+
+
+@pytest.mark.slow
+def test_orbit_that_multiplies_round_off_is_found_with_its_stability():
+    # O_59(0.6), of which float64 leaves 1e-5, and of the multipliers nothing
+    start = 0.0861926361138026, 0.266702433834442, 0.0354672184676783, 0.0552668646574773
+    orbit = listed(0.6, *start, 31.0328286752835)
+    assert orbit.success
+    assert abs(orbit.period - 31.0328286752835) < 1e-12
+    assert orbit.multiplier_error < 1e-4
+    assert np.abs(orbit.shift_multipliers[0]) == pytest.approx(1.0162, abs=1e-4)
+    assert orbit.stability == "mixed"
 
 
 @pytest.mark.slow
