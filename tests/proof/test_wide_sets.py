@@ -10,8 +10,11 @@ from scipy.integrate import solve_ivp
 import hamsym
 from hamsym import Ball, Hamiltonian, enclose
 from hamsym.errors import CertificationError, InputError
-from hamsym.proof.arithmetic.taylor_models import space_of
+from hamsym.proof.arithmetic.generated import ParameterSlopes
+from hamsym.proof.arithmetic.taylor_models import Model, space_of
 from hamsym.proof.boxes import carried_errors, wide_sets
+from hamsym.proof.boxes.carried_errors import CarriedErrors
+from hamsym.proof.boxes.tube import Flow, Stepper
 from hamsym.proof.boxes.wide_sets import SetWindow
 from hamsym.proof.windows.enclose import _Problem
 from tests.audit.taylor import Equations, integrate
@@ -116,6 +119,53 @@ def test_errors_in_turned_frames_contain_solutions(name, monkeypatch):
     found = in_parts(CASES[name])
     assert misses(CASES[name], found) == []
     assert np.isfinite(found.windows[-1].V_error).all()
+
+
+def support(errors, column, part, direction):
+    """The largest of direction @ (w - W(s)) over what is known of a column."""
+    model_radii = np.array([model.radius[part] for model in errors.columns[column]])
+    edges = np.abs(direction @ errors.frame[:, :, part])
+    return edges @ errors.radii[:, column, part] + np.abs(direction) @ model_radii
+
+
+@pytest.mark.parametrize("edges", [6, 7])  # a new frame, or more columns
+def test_turned_columns_contain_the_columns_before(edges, monkeypatch):
+    monkeypatch.setattr(carried_errors, "_MOST_EDGES", edges)
+    rng = np.random.default_rng(7)
+    H, space, parts = Hamiltonian(PENDULUM), space_of(2, 4, 3), 3
+    stepper = Stepper(Flow(H, []), space)
+
+    def models(size):
+        coefficients = rng.normal(size=(space.count, parts)) * (space.exponents[:, :1] == 0)
+        return Model(space, size * coefficients, size * rng.random(parts))
+
+    matrices = [[[models(1.0) for _ in range(2)] for _ in range(2)] for _ in range(2)]
+    frame = rng.normal(size=(2, 5, parts)) * [[[1.0]], [[1e-3]]]
+    before = CarriedErrors(
+        stepper, ParameterSlopes(H, []), [[models(1e-2), models(1e-4)] for _ in range(3)],
+        frame, rng.random((5, 3, parts)), *matrices, np.ones((2, 3, parts)),
+    )  # fmt: skip
+    after = before.turned()
+    assert after.frame.shape[1] == (7 if edges == 7 else 2)
+    C = np.array([[m.coefficients[0] for m in row] for row in before.fundamental])
+    for column, part in np.ndindex(3, parts):
+        old, new = (
+            np.array([model.coefficients[:, part] for model in errors.columns[column]])
+            for errors in (before, after)
+        )
+        turn = C[:, :, part]
+        assert np.allclose(turn @ old, new, rtol=1e-12, atol=1e-15)
+        for direction in rng.normal(size=(50, 2)):
+            least = support(before, column, part, turn.T @ direction)
+            assert least <= support(after, column, part, direction) * (1 + 1e-12)
+    for part in range(parts):
+        S, moved = (
+            np.array([[m.coefficients[:, part] for m in row] for row in errors.adjoint])
+            for errors in (before, after)
+        )
+        assert np.allclose(np.einsum("ij,jkt->ikt", C[:, :, part], S), moved, rtol=1e-12)
+        assert after.fundamental[0][0].coefficients[0, part] == pytest.approx(1)
+        assert after.fundamental[0][1].coefficients[0, part] == pytest.approx(0, abs=1e-9)
 
 
 def window_at(found, t):

@@ -14,16 +14,17 @@ bound that this keeps below itself holds on the whole step, as in the tube. Betw
 
     S Y in W(s) + {B r: |r_i| <= R_i},
 
-with Taylor models W, in which the signs of the defect cancel. M goes on from step to step until
-|M| |S| is large, which enlarges what is known up to its size. Then M becomes the identity again, W
-and B are multiplied by M, and the radii of W go into B r. The new B is about orthogonal in units of
-the components, its first column along the longest edge of the set (Lohner 1992), so that these sets
-hardly wrap.
+with Taylor models W, in which the signs of the defect cancel. M goes on from step to step. In wide
+sets S becomes C S after each step, with numbers C near M in the middle of a part: W and B are
+multiplied by C, and the radii of W become columns of B, so that these sets do not wrap. Where
+|M| |S| is large all the same, M becomes the identity for all s: W and B are multiplied by M, and
+the radii of W go into B r. The new B, and that of too many columns, is about orthogonal in units of
+the components, its first column along the longest edge of the set (Lohner 1992).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,6 +45,7 @@ _TINY = 1e-250
 _TRIES = 8
 _ROOM = 1.05  # of a bound on derivatives
 _LARGE = 1e7  # |M| |S| from which M becomes the identity
+_MOST_EDGES = 1024  # columns of B
 
 
 @dataclass
@@ -71,7 +73,7 @@ class CarriedErrors:
     """Delta, and perhaps the derivatives by the starts and parameters, where a step begins.
 
     - columns: W of delta, of starts and of parameters; a model for each component.
-    - frame, radii: B and R; shapes (dim, dim, parts) and (dim, columns, parts).
+    - frame, radii: B and R; shapes (dim, edges, parts) and (edges, columns, parts).
     - fundamental, adjoint: M and S where the last step ended.
     - present: Bounds on the columns there, shape (dim, columns, parts).
     """
@@ -168,24 +170,28 @@ class CarriedErrors:
 
     def _spread(self, models: StepModels) -> np.ndarray:
         """Bounds on |M B r| over a step, shape (dim, columns, parts)."""
-        one = np.broadcast_to(np.eye(len(self.frame))[:, :, None], self.frame.shape)
+        dim, _, parts = self.frame.shape
+        one = np.broadcast_to(np.eye(dim)[:, :, None], (dim, dim, parts))
         return self._moved(one, models.fundamental)
 
     def _moved(self, left: np.ndarray, matrix: Matrix) -> np.ndarray:
         """Bounds on |left matrix B r|, shape (dim, columns, parts)."""
-        dim = len(left)
+        dim, edges, parts = self.frame.shape
         if not self.radii.any():
-            return self.radii
+            return np.zeros((dim, self.radii.shape[1], parts))
         entries = np.array([[model.coefficients for model in row] for row in matrix])
         radius = np.array([[model.radius for model in row] for row in matrix])
         amounts = np.array([[model.amount() for model in row] for row in matrix])
-        product = np.einsum("ijc,jktc,klc->iltc", left, entries, self.frame, optimize=True)
-        found = np.abs(product).sum(axis=2)
+        found = np.empty((dim, edges, parts))
+        for part in range(parts):
+            product = np.tensordot(left[..., part], entries[..., part], 1)
+            product = np.swapaxes(product, 1, 2) @ self.frame[..., part]
+            found[..., part] = np.abs(product).sum(axis=1)
         rounding = radius + 2 * (2 * dim + 6) * UNIT * amounts
         sides = np.abs(left), rounding, np.abs(self.frame)
         found += np.einsum("ijc,jkc,klc->ilc", *sides, optimize=True)
         found = np.einsum("ilc,lkc->ikc", found, self.radii)
-        return np.asarray(sum_up(found, entries.shape[2] + 6 * dim))
+        return np.asarray(sum_up(found, entries.shape[2] + 6 * dim + edges))
 
     def after(
         self, models: StepModels, step: ErrorStep
@@ -249,6 +255,51 @@ class CarriedErrors:
             pairs = zip(own or [], more, strict=True)
             found[flow.dim + k] = [a + b for a, b in pairs] if own else more
         return found
+
+    def turned(self) -> CarriedErrors:
+        """The same columns with C S for S, so that M is about the identity in the middle of a part.
+
+        What later steps add then has the size of errors of Y, not |M| |S| times that.
+        """
+        space, (dim, _, parts) = self.stepper.space, self.frame.shape
+        ends = np.array([[entry.coefficients for entry in row] for row in self.fundamental])
+        C = ends[:, :, 0]
+        try:
+            inverse = np.moveaxis(np.linalg.inv(np.moveaxis(C, 2, 0)), 0, 2)
+        except np.linalg.LinAlgError:
+            return self
+        fundamental = np.einsum("ijtc,jkc->iktc", ends, inverse)
+
+        def product(column: list[Model]) -> list[Model]:
+            return [total([m.times(c) for m, c in zip(column, row, strict=True)]) for row in C]
+
+        lost = 2 * (dim + 4) * UNIT * np.einsum("ijc,jkc->ikc", np.abs(C), np.abs(self.frame))
+        rounding = np.einsum("ijc,jkc->kic", lost, self.radii)
+        rounding = sum_up(rounding, 2 * dim + len(self.radii))
+        columns = []
+        for column, more in zip(self.columns, rounding, strict=True):
+            turned = product([model.polynomial() for model in column])
+            columns.append([m.widened(r) for m, r in zip(turned, more, strict=True)])
+        added = np.array([[model.radius for model in column] for column in self.columns])
+        frame = np.concatenate([np.einsum("ijc,jkc->ikc", C, self.frame), C], axis=1)
+        radii = np.concatenate([self.radii, np.swapaxes(added, 0, 1)])
+        adjoint = np.array(self.adjoint, dtype=object).T.tolist()
+        found = replace(
+            self,
+            columns=columns,
+            frame=frame,
+            radii=radii,
+            fundamental=[[Model(space, m, np.zeros(parts)) for m in row] for row in fundamental],
+            adjoint=[list(row) for row in zip(*map(product, adjoint), strict=True)],
+        )
+        return found._shortened() if frame.shape[1] > _MOST_EDGES else found
+
+    def _shortened(self) -> CarriedErrors:
+        """The same columns with as many edges as components."""
+        edges = self.frame * self.radii[None, :, 0]
+        frame, inverse, share = _orthogonal(edges, np.zeros_like(edges[:, 0]))
+        radii = self._moved(inverse, self.stepper.first(edges.shape[2]))
+        return replace(self, frame=frame, radii=sum_up(radii + share * radii.max(axis=0)))
 
     def reframed(self, models: StepModels) -> CarriedErrors:
         """The same columns with M the identity."""

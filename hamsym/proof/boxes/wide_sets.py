@@ -359,7 +359,9 @@ class WideSet:
     def _accept(self, length: Fraction, found: _Candidate) -> SetWindow:
         """The window, from whose end the next one goes on."""
         space, models = self._space, found.models
-        self._errors, V, V_error = self._errors.after(models, found.errors)
+        errors, V, V_error = self._errors.after(models, found.errors)
+        with np.errstate(all="ignore"):  # infinite and NaN are refused
+            self._errors = errors.turned()
         distance = np.stack(V_error, axis=1)
         window = SetWindow(
             self.elapsed,
