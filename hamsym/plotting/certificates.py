@@ -11,10 +11,16 @@ from matplotlib.axes import Axes
 
 from hamsym.plotting.captions import caption_words
 from hamsym.plotting.figure import figure_of, label, legend_above, one_panel
-from hamsym.plotting.names import math_name, number, quantity, time_name, words_of
+from hamsym.plotting.names import math_name, number, quantity, words_of
 from hamsym.plotting.panels import Panel, draw_panels
 from hamsym.plotting.style import color_of, positive, style_for
-from hamsym.plotting.time_axes import component_curves, label_time, log_lines
+from hamsym.plotting.time_axes import (
+    component_curves,
+    fill_time,
+    label_time,
+    log_lines,
+    name_curves,
+)
 from hamsym.proof.arithmetic.ball import Ball
 from hamsym.proof.boxes.box_certificate import BoxCertificate
 from hamsym.proof.windows.certificate import Certificate
@@ -69,17 +75,15 @@ def _draw_band(axes: Axes, found: Enclosure, t: np.ndarray, states: Ball, index:
     axes.fill_between(t, low, high, color=color, alpha=0.3, linewidth=0, label="proven band")
     axes.plot(t, states.mid[:, index], color=color, linewidth=0.8, label="its middle")
     label(axes.yaxis, *quantity(H, H.names[index]))
-    label(axes.xaxis, *quantity(H, time_name(H)))
-    axes.set_xlim(min(t), max(t))
+    label_time(axes, H)
+    fill_time(axes, t)
 
 
 def _draw_widths(axes: Axes, found: Enclosure, t: np.ndarray, states: Ball) -> None:
     sizes = np.abs(states.mid).max(axis=0)
     widths = 2 * states.radius / np.where(sizes > 0, sizes, 1.0)
     log_lines(axes, t, component_curves(found.H, widths), unknown="")
-    axes.set_title("Widths")
-    label(axes.yaxis, "width of the band / size")
-    label_time(axes, found.H)
+    name_curves(axes, found.H, "Widths", "width of the band / size")
     legend_above(axes)
 
 
@@ -89,13 +93,11 @@ def _draw_widths(axes: Axes, found: Enclosure, t: np.ndarray, states: Ball) -> N
 def draw_certificate(found: Certificate, *names: Any, ax: Any = None) -> Any:
     """Draw proven bounds; see :meth:`hamsym.Certificate.plot`."""
     shown = [math_name(name) for name in found.components]
-    words = ["Proven:", "the", "largest", "error"]
-    words += ["|z^(t)", "−", "z(t)|", "is", "at", "least", number(found.lower, 3), "and", "at"]
-    words += ["most", number(found.bound, 3) + "."]
+    text = f"Proven: the largest error |z^(t) − z(t)| is at least {number(found.lower, 3)} "
+    text += f"and at most {number(found.bound, 3)}."
     for name, bound in (("Energy error", found.energy_bound), ("Residual", found.ell_max_bound)):
-        known = ["at", "most", number(bound, 3)] if np.isfinite(bound) else ["not", "bounded"]
-        words += [*name.split(), *known[:-1], known[-1] + "."]
-    words += words_of(f"SHA-256 {found.digest[:16]}…")
+        text += f" {name} {f'at most {number(bound, 3)}' if np.isfinite(bound) else 'not bounded'}."
+    words = f"{text} SHA-256 {found.digest[:16]}…".split()
     panels = {
         "bound": Panel(lambda axes: _draw_bound(axes, found), 6.0),
         "components": Panel(lambda axes: _draw_components(axes, found, shown), 6.0),

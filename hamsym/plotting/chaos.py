@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
 
 from hamsym.dynamics.chaos_indicators import ChaosIndicators
 from hamsym.dynamics.lyapunov import LyapunovExponents
@@ -15,7 +15,7 @@ from hamsym.dynamics.lyapunov_map import LyapunovMap
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.plotting.captions import axis_words, caption_words
-from hamsym.plotting.figure import figure_of, label, legend, one_panel
+from hamsym.plotting.figure import color_bar, figure_of, label, legend, one_panel
 from hamsym.plotting.motions import parameters_of
 from hamsym.plotting.names import (
     math_unit,
@@ -29,7 +29,6 @@ from hamsym.plotting.style import (
     COLUMN,
     GREY,
     MAX_LINES,
-    SEQUENTIAL,
     color_of,
     line_styles,
     positive,
@@ -118,10 +117,7 @@ def _draw_convergence(axes: Axes, found: LyapunovExponents) -> None:
         middle = np.exp(np.mean(np.log(first[late] / fall)))
         axes.plot(t[late], middle * fall, "--", color=GREY, linewidth=0.8, label="~ log(t)/t")
     log_scales(axes, "no positive exponent")
-    axes.set_title("Convergence")
-    label(axes.yaxis, r"exponent $\lambda$", _rate_unit(found.H))
-    _label_elapsed(axes, found.H, found.span[0])
-    _legend_of(axes, len(lines))
+    _name_exponents(axes, found, "Convergence")
 
 
 def _draw_exponents(axes: Axes, found: LyapunovExponents) -> None:
@@ -139,10 +135,7 @@ def _draw_exponents(axes: Axes, found: LyapunovExponents) -> None:
         axes.set_yticks(_symmetric_ticks(size, top))
         axes.minorticks_off()
         axes.yaxis.set_major_formatter(lambda value, _: number(value, 3))
-    axes.set_title(f"All {len(lines)} exponents" if len(lines) > 1 else "Exponent")
-    label(axes.yaxis, r"exponent $\lambda$", _rate_unit(found.H))
-    _label_elapsed(axes, found.H, found.span[0])
-    _legend_of(axes, len(lines))
+    _name_exponents(axes, found, f"All {len(lines)} exponents" if len(lines) > 1 else "Exponent")
 
 
 def _symmetric_ticks(size: float, top: float) -> list[float]:
@@ -155,20 +148,18 @@ def _symmetric_ticks(size: float, top: float) -> list[float]:
     return [-value for value in reversed(positive_ticks)] + [0.0, *positive_ticks]
 
 
-def _legend_of(axes: Axes, count: int) -> None:
-    """Add a legend, or a colour bar of the numbers of many lines."""
+def _name_exponents(axes: Axes, found: LyapunovExponents, title: str) -> None:
+    """Add titles, and a legend, or a colour bar of the numbers of many lines."""
+    axes.set_title(title)
+    label(axes.yaxis, r"exponent $\lambda$", _rate_unit(found.H))
+    _label_elapsed(axes, found.H, found.span[0])
+    count = found.exponents.shape[1]
     if count <= MAX_LINES:
         legend(
             axes, fontsize=6, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, ncols=1
         )
         return
-    norm = matplotlib.colors.Normalize(1, count)
-    colors = matplotlib.colors.ListedColormap(
-        matplotlib.colormaps[SEQUENTIAL](np.linspace(0, 0.92, 256))
-    )
-    mappable = matplotlib.cm.ScalarMappable(norm, colors)
-    bar = figure_of(axes).colorbar(mappable, ax=axes, pad=0.02)
-    bar.set_label("number of the exponent")
+    color_bar(axes, Normalize(1, count), "number of the exponent")
 
 
 # -- indicators ------------------------------------------------------------------------------------

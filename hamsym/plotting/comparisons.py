@@ -12,7 +12,7 @@ from hamsym.plotting.captions import caption_words
 from hamsym.plotting.figure import Figure, figure_of, label, legend, one_panel, require_no_axes
 from hamsym.plotting.names import energy_unit, known_name, math_name, quantity
 from hamsym.plotting.style import PAGE, SAMPLES, line_style, style_for, styled
-from hamsym.plotting.time_axes import LARGEST, label_time, log_lines
+from hamsym.plotting.time_axes import LARGEST, log_lines, name_curves
 from hamsym.study.compare import Comparison, Row
 
 _PANELS = ("error", "energy", "plane", "work")
@@ -74,9 +74,7 @@ def _draw_error(axes: Axes, comparison: Comparison, curves: list[Any]) -> None:
         size = np.linalg.norm(z - comparison.reference(times), axis=-1)
         errors.append((times, size, {**style, "label": text}))
     _draw_curves(axes, errors)
-    axes.set_title("Error")
-    label(axes.yaxis, r"$|\delta z|$")
-    label_time(axes, comparison.solution.H)
+    name_curves(axes, comparison.solution.H, "Error", r"$|\delta z|$")
 
 
 def _draw_energy(axes: Axes, comparison: Comparison, curves: list[Any]) -> None:
@@ -90,9 +88,7 @@ def _draw_energy(axes: Axes, comparison: Comparison, curves: list[Any]) -> None:
             change = np.abs(energy - system.energy(*system.arguments(right, times)))
         errors.append((times, change, {**style, "label": text}))
     _draw_curves(axes, errors)
-    axes.set_title("Energy error")
-    label(axes.yaxis, r"$|\delta H|$", energy_unit(H))
-    label_time(axes, H)
+    name_curves(axes, H, "Energy error", r"$|\delta H|$", energy_unit(H))
 
 
 def _draw_curves(axes: Axes, curves: list[tuple[np.ndarray, np.ndarray, dict[str, Any]]]) -> None:

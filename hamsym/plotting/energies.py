@@ -7,11 +7,11 @@ import sympy
 from matplotlib.axes import Axes
 
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.plotting.figure import label, legend_above
+from hamsym.plotting.figure import legend_above
 from hamsym.plotting.motions import Motion
 from hamsym.plotting.names import energy_unit
 from hamsym.plotting.style import line_style
-from hamsym.plotting.time_axes import envelope, fill_time, label_time
+from hamsym.plotting.time_axes import envelope, fill_time, name_curves
 
 
 def energies_of(H: Hamiltonian) -> dict[str, sympy.Expr]:
@@ -48,8 +48,6 @@ def draw_energies(axes: Axes, motion: Motion) -> None:
         style = {"color": "black", "linewidth": 0.8} if name == "$H$" else line_style(k - 1)
         axes.plot(t, values, **style, label=name)
     axes.margins(y=0.12)
-    axes.set_title("Energies")
-    label(axes.yaxis, "energy", energy_unit(H))
+    name_curves(axes, H, "Energies", "energy", energy_unit(H))
     fill_time(axes, motion.t)
-    label_time(axes, H)
     legend_above(axes)

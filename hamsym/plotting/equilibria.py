@@ -15,7 +15,7 @@ from hamsym.plotting.captions import caption_words
 from hamsym.plotting.figure import Figure, figure_of, label, one_panel
 from hamsym.plotting.motions import drawn_of, same_scale
 from hamsym.plotting.names import energy_unit, math_name, number, quantity, words_of
-from hamsym.plotting.phase_portraits import draw_levels
+from hamsym.plotting.phase_portraits import draw_contours, draw_levels
 from hamsym.plotting.spectra import draw_exponents_plane
 from hamsym.plotting.style import COLUMN, MARKERS, MAX_LINES, color_of, style_for
 
@@ -216,18 +216,7 @@ def _draw_behind(axes: Axes, H: Hamiltonian, x: str, y: str) -> list[Any]:
     finite = values[np.isfinite(values)]
     if not finite.size or not np.ptp(finite) > 0:
         return []
-    levels = np.unique(np.quantile(finite, np.linspace(0.04, 0.96, _LEVELS)))
-    size = float(np.abs(levels).max())
-    power = int(np.floor(np.log10(size))) if size else 0
-    power = 0 if -3 <= power < 4 else power
-    style: dict[str, Any] = {"colors": "0.6", "linewidths": 0.6, "linestyles": "-", "zorder": 1}
-    lines = axes.contour(*sides, values, levels=levels, **style)
-    texts = axes.clabel(lines, fmt=lambda level: f"{level / 10.0**power:.3g}".replace("-", "−"))
-    for text in texts:
-        text.set(fontsize=6, color="0.35")
-    if isinstance(figure := figure_of(axes), Figure):
-        figure.thin_out(texts)
-    unit = [f"$10^{{{power}}}$"] if power else []
+    _, unit = draw_contours(axes, sides, values, _LEVELS)
     unit += energy_unit(H).split()
     words = ["Grey:", "level", "sets", "of", "$H$", "at", "zero", "velocity"]
     return [[*words, "in", *unit] if unit else words]

@@ -10,10 +10,13 @@ from contextlib import contextmanager
 from typing import Any
 
 import matplotlib.figure
+import numpy as np
 from matplotlib import cbook
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis, YAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.font_manager import FontProperties
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.text import Text
@@ -21,7 +24,7 @@ from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from hamsym.errors import InputError
 from hamsym.plotting.names import number, shortened, with_unit, words_of
-from hamsym.plotting.style import COLUMN, DISPLAY_DPI, STYLE, WARNING, styled
+from hamsym.plotting.style import COLUMN, DISPLAY_DPI, STYLE, WARNING, shades, styled
 
 _CM = 1 / 2.54
 _PAD = 0.25 * _CM  # inches around captions
@@ -304,6 +307,13 @@ def label(axis: Axis, text: str, unit: str = "") -> None:
         ticks.parts, ticks.shown = (text, unit), axis.get_label_text()
         axis.set_major_formatter(ticks)
         axis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 2.5, 5, 10]))
+
+
+def color_bar(axes: Any, norm: Normalize, text: str, unit: str = "", **options: Any) -> None:
+    """Add a colour bar of :func:`shades` beside axes, one or several."""
+    mappable = ScalarMappable(norm, ListedColormap(shades(256)))
+    bar = figure_of(np.ravel(axes)[0]).colorbar(mappable, ax=axes, pad=0.02, **options)
+    label(bar.ax.yaxis, text, unit)
 
 
 # -- lines of captions -----------------------------------------------------------------------------

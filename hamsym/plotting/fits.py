@@ -77,36 +77,23 @@ def draw_fit(found: Fit, *names: Any, number: int = 0, ax: Any = None) -> Any:
 
 def _sentences(found: Fit, at: tuple[int, ...], several: bool) -> list[Any]:
     """Return the estimates with their standard errors, and how well they fit."""
-    words: list[str] = []
+    words = ["Fitted:"]
     for name, value in found.parameters.items():
         error = float(np.asarray(found.standard_errors[name])[at])
         unit = math_unit(found.H.units.get(name, "1"))
         estimate = shown_number(float(np.asarray(value)[at]), 6)
         text = f"{math_name(name)} = {estimate} ± {shown_number(error, 2)}"
-        words += [*f"{text} {unit}".strip().split(), ","]
-    joined: list[str] = []
-    for word in words[:-1]:
-        if word == ",":
-            joined[-1] += ","
-        else:
-            joined.append(word)
+        words += f"{text} {unit}".strip().split()
+        words[-1] += ","
+    words[-1] = words[-1].removesuffix(",")
     chi = float(np.asarray(found.chi_square)[at])
     freedom = int(np.asarray(found.degrees_of_freedom)[at])
-    quality = [
-        "$\\chi^2$",
-        "=",
-        shown_number(chi, 4),
-        "with",
-        f"{freedom:,}",
-        "degrees",
-        "of",
-        "freedom",
-    ]
+    quality = f"$\\chi^2$ = {shown_number(chi, 4)} with {freedom:,} degrees of freedom"
     p = float(np.asarray(found.p_value)[at])
     if np.isfinite(p):
-        quality += ["(p", "=", shown_number(p, 2) + ")"]
+        quality += f" (p = {shown_number(p, 2)})"
     head = [f"Set {at[0]}"] if several else []
-    return [*head, ["Fitted:", *joined], quality]
+    return [*head, words, quality.split()]
 
 
 def _named(found: Fit, name: str) -> tuple[str, str]:

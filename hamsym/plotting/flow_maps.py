@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 
@@ -15,7 +14,7 @@ from hamsym.plotting.captions import axis_words, caption_words, formula_of
 from hamsym.plotting.figure import Figure, figure_of, label, one_panel, require_no_axes
 from hamsym.plotting.motions import drawn_of
 from hamsym.plotting.names import math_name, math_unit, number, time_name
-from hamsym.plotting.style import COLORS, COLUMN, PAGE, SEQUENTIAL, color_of, style_for, styled
+from hamsym.plotting.style import COLORS, COLUMN, PAGE, color_of, shades, style_for, styled
 from hamsym.plotting.time_axes import label_time
 
 _MOST = 6  # panels of an overview
@@ -124,10 +123,9 @@ def _draw_plane(axes: Axes, flow: FlowMap, x: Observable, y: Observable) -> None
     label(axes.xaxis, *axis_words(x))
     label(axes.yaxis, *axis_words(y))
     times = np.linspace(*flow.span, len(COLORS))
-    colors = matplotlib.colormaps[SEQUENTIAL](np.linspace(0, 0.92, len(times)))
     unit = math_unit(H.units.get(time_name(H), "1"))
     edge = _edge_of(flow, x.text, y.text)
-    for t, color in zip(times, colors, strict=True):
+    for t, color in zip(times, shades(len(times)), strict=True):
         text = f"$t$ = {number(float(t), 4)} {unit}".strip()
         if edge is not None:
             own = np.full(len(edge), t), box.at(edge)

@@ -11,7 +11,6 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.ticker import NullFormatter, NullLocator
 
@@ -19,7 +18,7 @@ from hamsym.codegen.observable import Observable
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.plotting.captions import axis_words, caption_words, formula_of
-from hamsym.plotting.figure import Figure, figure_of, label, legend, one_panel
+from hamsym.plotting.figure import Figure, color_bar, figure_of, label, legend, one_panel
 from hamsym.plotting.names import (
     distinct_numbers,
     math_name,
@@ -29,7 +28,7 @@ from hamsym.plotting.names import (
     time_name,
     with_unit,
 )
-from hamsym.plotting.phase_portraits import draw_levels
+from hamsym.plotting.phase_portraits import draw_levels, power_of_ten
 from hamsym.plotting.style import (
     COLUMN,
     MAX_LINES,
@@ -118,6 +117,11 @@ class Motion:
             return [""] * len(self.z)
         return distinct_numbers(self.varied[2].tolist())
 
+    def curves(self, values: np.ndarray) -> list[tuple[np.ndarray, dict[str, Any]]]:
+        """Return a curve for each row of values, with style and entry of its trajectory."""
+        entries = zip(values, self.styles, self.labels(), strict=True)
+        return [(row, {**style, "label": text}) for row, style, text in entries]
+
     def legend(self, axes: Axes, **options: Any) -> None:
         """Add a legend of several trajectories, whose title is what varies."""
         if any(self.labels()):
@@ -126,12 +130,7 @@ class Motion:
     def color_bar(self, axes: Any) -> None:
         """Add the colour bar of many trajectories beside axes."""
         if self.mapped:
-            colors = matplotlib.colormaps[SEQUENTIAL](np.linspace(0, 0.92, 256))
-            cmap = matplotlib.colors.ListedColormap(colors)
-            bar = figure_of(np.ravel(axes)[0]).colorbar(
-                ScalarMappable(self._norm, cmap), ax=axes, pad=0.02, fraction=0.04, aspect=40
-            )
-            label(bar.ax.yaxis, *self.varied[:2])
+            color_bar(axes, self._norm, *self.varied[:2], fraction=0.04, aspect=40)
 
     def caption(self, *sentences: Any) -> list[str]:
         """Return the caption with further sentences."""
@@ -347,11 +346,7 @@ def paths_in_space(
     - words: Text and unit of each axis.
     - alike: Whether the axes are lengths of one space.
     """
-    powers = []
-    for column in columns:
-        size = np.nanmax(np.abs(column), initial=0.0)
-        power = int(np.floor(np.log10(size))) if np.isfinite(size) and size > 0 else 0
-        powers.append(power if not -3 <= power < 4 else 0)
+    powers = [power_of_ten(np.nanmax(np.abs(column), initial=0.0)) for column in columns]
     columns = [column / 10.0**power for column, power in zip(columns, powers, strict=True)]
     every = max(1, columns[0].shape[1] // 20_000)
     for k, (style, text) in enumerate(zip(styles, labels, strict=True)):

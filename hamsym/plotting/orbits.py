@@ -248,11 +248,12 @@ def draw_orbit_certificate(found: OrbitCertificate, *, ax: Any = None) -> Any:
     """Draw the multipliers of a proven orbit; see :meth:`hamsym.OrbitCertificate.plot`."""
     middle = np.asarray(found.monodromy.mid)
     values = np.linalg.eigvals(middle)
-    words = ["Proven:", "one", "orbit,", "period", number(float(found.period.mid), 12), "within"]
-    words += [number(float(found.period.radius), 2) + ",", "states", "within"]
-    words += [number(found.bound, 2), "of", "the", "numerical", "ones,"]
-    words += [found.stability + ".", "Drawn", "are", "the", "multipliers", "of", "one", "shift"]
-    words += ["of", "its", "symmetry,", "from", "the", "middle", "of", "their", "enclosure."]
+    words = (
+        f"Proven: one orbit, period {number(float(found.period.mid), 12)} within "
+        f"{number(float(found.period.radius), 2)}, states within {number(found.bound, 2)} of the "
+        f"numerical ones, {found.stability}. Drawn are the multipliers of one shift of its "
+        "symmetry, from the middle of their enclosure."
+    ).split()
     with one_panel(ax, words, height=7.5) as axes, style_for(ax):
         draw_multipliers(axes, values, _title(found.stability))
         return figure_of(axes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -43,10 +44,29 @@ def draw_levels(axes: Axes, H: Hamiltonian, x: str, y: str, own: float | None = 
     finite = values[np.isfinite(values)]
     if not finite.size or not np.ptp(finite) > 0:
         return ["H has no level sets in this part of the phase plane"]
-    levels = np.unique(np.quantile(finite, np.linspace(0.03, 0.97, _LEVELS)))
-    size = float(np.abs(levels).max())
-    power = int(np.floor(np.log10(size)))
-    power = 0 if -3 <= power < 4 else power
+    power, unit = draw_contours(axes, sides, values, _LEVELS)
+    axes.set(xlim=limits[0], ylim=limits[1])
+    unit += energy_unit(H).split()
+    kept = "" if H.conserves_energy else ", which forces change along a trajectory"
+    words = ["Grey:", "level", "sets", "of", "$H$" + kept]
+    if unit:
+        words += ["in", *unit]
+    if own is not None and np.isfinite(own):
+        words[-1] += ";"
+        words += ["at", "the", "start", "$H$", "=", number(own / 10.0**power, 4)]
+    return [words]
+
+
+def draw_contours(
+    axes: Axes, sides: Sequence[np.ndarray], values: np.ndarray, count: int
+) -> tuple[int, list[str]]:
+    """Draw a number of labelled level sets of values on a grid.
+
+    Return the power of ten in which the labels are, and the words that say so.
+    """
+    finite = values[np.isfinite(values)]
+    levels = np.unique(np.quantile(finite, np.linspace(0.03, 0.97, count)))
+    power = power_of_ten(float(np.abs(levels).max()))
     lines = axes.contour(
         *sides, values, levels=levels, colors="0.6", linewidths=0.6, linestyles="-", zorder=1
     )
@@ -61,13 +81,10 @@ def draw_levels(axes: Axes, H: Hamiltonian, x: str, y: str, own: float | None = 
     figure = figure_of(axes)
     if isinstance(figure, Figure):
         figure.thin_out(texts)
-    axes.set(xlim=limits[0], ylim=limits[1])
-    unit = " ".join(filter(None, (f"$10^{{{power}}}$" if power else "", energy_unit(H))))
-    kept = "" if H.conserves_energy else ", which forces change along a trajectory"
-    words = ["Grey:", "level", "sets", "of", "$H$" + kept]
-    if unit:
-        words += ["in", *unit.split()]
-    if own is not None and np.isfinite(own):
-        words[-1] += ";"
-        words += ["at", "the", "start", "$H$", "=", number(own / 10.0**power, 4)]
-    return [words]
+    return power, [f"$10^{{{power}}}$"] if power else []
+
+
+def power_of_ten(size: float) -> int:
+    """Return the power of ten in which numbers of a size are written; 0 without one."""
+    power = int(np.floor(np.log10(size))) if np.isfinite(size) and size > 0 else 0
+    return 0 if -3 <= power < 4 else power

@@ -5,22 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import matplotlib
 import numpy as np
 import sympy
 from contourpy import contour_generator
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 
 from hamsym.codegen.observable import Observable
 from hamsym.dynamics.sections import Section
 from hamsym.errors import InputError
 from hamsym.plotting.captions import axis_words, caption_words, formula_of
-from hamsym.plotting.figure import figure_of, label, one_panel
+from hamsym.plotting.figure import color_bar, figure_of, label, one_panel
 from hamsym.plotting.motions import parameters_of, varying
 from hamsym.plotting.names import distinct_numbers, math_name, number, with_unit
-from hamsym.plotting.style import COLORS, COLUMN, GREY, MAX_LINES, SEQUENTIAL, style_for
+from hamsym.plotting.style import COLORS, COLUMN, GREY, MAX_LINES, shades, style_for
 from hamsym.problems.surface import parse_surface
 
 _WIDER, _GRID = (0.6, 2.0, 6.0), 301  # shares of the plane added on each side, to find a boundary
@@ -53,8 +51,6 @@ def draw_section(section: Section, *names: Any, ax: Any = None) -> Any:
     varied, unit, values = varying(H, section.z0, section.parameters)
     with one_panel(ax, words, warning, width=COLUMN + 3, height=9.0) as axes, style_for(ax):
         norm = Normalize(float(values.min()), float(values.max()))
-        colors = matplotlib.colormaps[SEQUENTIAL](np.linspace(0, 0.92, 256))
-        shades = ListedColormap(colors)
         size = 4.0 if len(section.t) < 500 else 2.6 if len(section.t) < 5_000 else 1.6
         if len(numbers) > MAX_LINES:
             for where, marker in ((rising, "."), (~rising, "+")):
@@ -62,14 +58,13 @@ def draw_section(section: Section, *names: Any, ax: Any = None) -> Any:
                     x[where],
                     y[where],
                     s=size**2,
-                    c=shades(norm(values[section.trajectory[where]])),
+                    c=ListedColormap(shades(256))(norm(values[section.trajectory[where]])),
                     marker=marker,
                     linewidths=0.4 if marker == "+" else 0,
                     rasterized=len(section.t) > 5_000,
                 )
-            bar = figure_of(axes).colorbar(ScalarMappable(norm, shades), ax=axes, pad=0.02)
             text = "number of the trajectory" if varied == "number" else varied
-            label(bar.ax.yaxis, text, unit)
+            color_bar(axes, norm, text, unit)
         else:
             if varied == "number":
                 entries, title = _starts(section), "trajectory: start"
@@ -170,7 +165,7 @@ def _draw_named(
     numbers = np.unique(section.trajectory)
     colors: list[Any] = list(COLORS)
     if len(numbers) > len(COLORS):
-        colors = list(matplotlib.colormaps[SEQUENTIAL](np.linspace(0, 0.92, len(numbers))))
+        colors = list(shades(len(numbers)))
     for place, text, color in zip(numbers.tolist(), entries, colors, strict=False):
         own = section.trajectory == place
         for where, marker in ((own & rising, "."), (own & ~rising, "+")):

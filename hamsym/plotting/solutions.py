@@ -39,8 +39,9 @@ from hamsym.plotting.time_axes import (
     component_curves,
     decades_and_lines,
     fill_time,
-    label_time,
     log_lines,
+    name_curves,
+    name_energy_error,
 )
 from hamsym.proof.windows.certificate import Certificate
 from hamsym.solution.solution import Solution
@@ -153,9 +154,7 @@ def draw_error(axes: Axes, solution: Solution, certificate: Certificate | None =
             axes.axhspan(lower, bounds[worst], color=WARNING, alpha=0.25, linewidth=0)
         notes.append("Proven: no error, relative to its size, is above the red line at any time")
     log_lines(axes, t, component_curves(H, values), lines=lines, unknown="infinite where not drawn")
-    label(axes.yaxis, "error / size")
-    axes.set_title("Estimated error")
-    label_time(axes, H)
+    name_curves(axes, H, "Estimated error", "error / size")
     legend_above(axes)
     return notes
 
@@ -166,9 +165,7 @@ def draw_residual(axes: Axes, solution: Solution) -> None:
     residual = np.asarray(solution.residual(t))
     rates = np.abs(np.asarray(solution.derivative(t))).max(axis=0)
     log_lines(axes, t, component_curves(solution.H, _relative(residual, rates)))
-    axes.set_title(r"Residual $\ell$")
-    label(axes.yaxis, r"$|\ell_i|\,/\,\max|\dot z_i|$")
-    label_time(axes, solution.H)
+    name_curves(axes, solution.H, r"Residual $\ell$", r"$|\ell_i|\,/\,\max|\dot z_i|$")
     legend_above(axes)
 
 
@@ -176,18 +173,14 @@ def draw_energy_error(axes: Axes, solution: Solution) -> None:
     """Draw the change of H, less the work of forces and explicit time."""
     H, t = solution.H, _times(solution)
     jumps = (sympy.sign, sympy.Heaviside, sympy.Piecewise, sympy.floor)
-    label_time(axes, H)
     if H.time is not None and any(H.expr.has(kind) for kind in jumps):
         axes.plot(t, solution.energy(t), color=color_of(0))
-        axes.set_title("Energy")
-        label(axes.yaxis, "$H$", energy_unit(H))
+        name_curves(axes, H, "Energy", "$H$", energy_unit(H))
         return
     with np.errstate(all="ignore"):
         drift = np.abs(np.asarray(solution.energy_drift(t)))
     log_lines(axes, t, [(drift, {"color": color_of(0)})], unknown="unknown")
-    axes.set_title("Energy error")
-    work = "" if H.conserves_energy else " - W"
-    label(axes.yaxis, f"$|H - H_0{work}|$", energy_unit(H))
+    name_energy_error(axes, H)
 
 
 def draw_search(axes: Axes, solution: Solution) -> None:
@@ -199,15 +192,15 @@ def draw_search(axes: Axes, solution: Solution) -> None:
         axes.stairs(
             lengths, edges + solution.record.origin, baseline=None, color=color_of(0), linewidth=1
         )
-        several = f"{len(lengths):,} windows" if len(lengths) > 1 else "one window"
         if lengths.max() > 20 * lengths.min():
             axes.set_yscale("log")
         else:
             axes.set_ylim(0, 1.15 * lengths.max())
         fill_time(axes, np.array(solution.span))
-        axes.set_title(f"Lengths of {several}" if len(lengths) > 1 else "Length of one window")
-        label_time(axes, H)
-        label(axes.yaxis, "length", quantity(H, time_name(H))[1])
+        title = (
+            f"Lengths of {len(lengths):,} windows" if len(lengths) > 1 else "Length of one window"
+        )
+        name_curves(axes, H, title, "length", quantity(H, time_name(H))[1])
         return
     # The same quantity against the same cost, whatever the loss of a method and its iterations are.
     best = np.minimum.accumulate(history.ell_max)
@@ -293,18 +286,10 @@ def _draw_member_errors(axes: Axes, many: Solutions) -> None:
 
 def _draw_energies(axes: Axes, shown: Solutions, motion: Motion) -> None:
     energy = shown.energy(motion.t)
-    change = np.abs(energy - energy[:, :1])
-    curves = [
-        (values, {**style, "label": text})
-        for values, style, text in zip(change, motion.styles, motion.labels(), strict=True)
-    ]
     if motion.H.conserves_energy:
-        log_lines(axes, motion.t, curves, unknown="")
-        axes.set_title("Energy error")
-        label(axes.yaxis, "$|H - H_0|$", energy_unit(motion.H))
+        log_lines(axes, motion.t, motion.curves(np.abs(energy - energy[:, :1])), unknown="")
+        name_energy_error(axes, motion.H)
     else:
-        for values, (_, style) in zip(energy, curves, strict=True):
+        for values, style in motion.curves(energy):
             axes.plot(motion.t, values, **style)
-        axes.set_title("Energy")
-        label(axes.yaxis, "$H$", energy_unit(motion.H))
-    label_time(axes, motion.H)
+        name_curves(axes, motion.H, "Energy", "$H$", energy_unit(motion.H))

@@ -85,12 +85,16 @@ def line_style(index: int) -> dict[str, Any]:
     return {"color": color_of(index), "linestyle": DASHES[index // len(COLORS) % len(DASHES)]}
 
 
+def shades(count: int) -> np.ndarray:
+    """Return colours of the sequential map, without the lightest, shape (count, 4)."""
+    return np.asarray(matplotlib.colormaps[SEQUENTIAL](np.linspace(0, 0.92, count)))
+
+
 def line_styles(count: int) -> list[dict[str, Any]]:
     """Return a style for each of some lines: distinct ones, or a sequence of colours for many."""
     if count <= MAX_LINES:
         return [line_style(index) for index in range(count)]
-    colors = matplotlib.colormaps[SEQUENTIAL](np.linspace(0, 0.92, count))
-    return [{"color": to_hex(color), "linestyle": "-"} for color in colors]
+    return [{"color": to_hex(color), "linestyle": "-"} for color in shades(count)]
 
 
 def positive(values: np.ndarray) -> np.ndarray:

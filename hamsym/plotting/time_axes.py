@@ -12,7 +12,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.plotting.figure import label
-from hamsym.plotting.names import math_name, quantity, time_name
+from hamsym.plotting.names import energy_unit, math_name, quantity, time_name
 from hamsym.plotting.style import MAX_LINES, color_of, line_style, positive
 
 # Pieces of a logarithmic curve: as many as a column of a page shows apart.
@@ -25,6 +25,19 @@ _TEXT = 0.16
 
 def label_time(axes: Axes, H: Hamiltonian) -> None:
     label(axes.xaxis, *quantity(H, time_name(H)))
+
+
+def name_curves(axes: Axes, H: Hamiltonian, title: str, text: str, unit: str = "") -> None:
+    """Set the title of curves over time, and the labels of both axes."""
+    axes.set_title(title)
+    label(axes.yaxis, text, unit)
+    label_time(axes, H)
+
+
+def name_energy_error(axes: Axes, H: Hamiltonian) -> None:
+    """Name curves of the change of H, less the work W of forces and explicit time."""
+    work = "" if H.conserves_energy else " - W"
+    name_curves(axes, H, "Energy error", f"$|H - H_0{work}|$", energy_unit(H))
 
 
 def fill_time(axes: Axes, t: np.ndarray) -> None:

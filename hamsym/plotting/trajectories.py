@@ -14,7 +14,7 @@ from hamsym.errors import InputError
 from hamsym.integrators.interpolation import Interpolant
 from hamsym.integrators.trajectory import Trajectory
 from hamsym.plotting.energies import draw_energies
-from hamsym.plotting.figure import figure_of, label, one_panel, require_no_axes
+from hamsym.plotting.figure import figure_of, one_panel, require_no_axes
 from hamsym.plotting.motions import (
     Motion,
     chosen_members,
@@ -24,11 +24,10 @@ from hamsym.plotting.motions import (
     parameters_of,
     varying,
 )
-from hamsym.plotting.names import energy_unit
 from hamsym.plotting.overview import MotionPanels
 from hamsym.plotting.sampling import resolved, with_formulas
 from hamsym.plotting.style import SAMPLES, style_for, styled
-from hamsym.plotting.time_axes import label_time, log_lines
+from hamsym.plotting.time_axes import log_lines, name_curves, name_energy_error
 
 _SAVE_MORE = "Dots: the saved states, which are too far apart for lines between them; save more"
 
@@ -131,18 +130,10 @@ def _flat(values: np.ndarray, trajectory: Trajectory, kept: int) -> np.ndarray:
 
 def _draw_energy(axes: Axes, trajectory: Trajectory, motion: Motion, chosen: np.ndarray) -> None:
     """Draw the change of H, less the work of forces and explicit time."""
-    H = motion.H
     with np.errstate(all="ignore"):
         change = np.abs(_flat(trajectory.energy_drift, trajectory, 1)[chosen])
-    curves = [
-        (values, {**style, "label": text})
-        for values, style, text in zip(change, motion.styles, motion.labels(), strict=True)
-    ]
-    log_lines(axes, trajectory.t, curves, unknown="")
-    work = "" if H.conserves_energy else " - W"
-    axes.set_title("Energy error")
-    label(axes.yaxis, f"$|H - H_0{work}|$", energy_unit(H))
-    label_time(axes, H)
+    log_lines(axes, trajectory.t, motion.curves(change), unknown="")
+    name_energy_error(axes, motion.H)
 
 
 def _draw_error(axes: Axes, trajectory: Trajectory, motion: Motion, chosen: np.ndarray) -> None:
@@ -154,11 +145,5 @@ def _draw_error(axes: Axes, trajectory: Trajectory, motion: Motion, chosen: np.n
         sizes = np.nanmax(np.abs(states), axis=1, keepdims=True)
         ratios = np.where(errors == 0, 0.0, errors / np.where(sizes > 0, sizes, np.nan))
         largest = np.nanmax(ratios, axis=-1)
-    curves = [
-        (values, {**style, "label": text})
-        for values, style, text in zip(largest, motion.styles, motion.labels(), strict=True)
-    ]
-    log_lines(axes, trajectory.t, curves, unknown="infinite where not drawn")
-    axes.set_title("Largest estimated error up to each time")
-    label(axes.yaxis, "error / size")
-    label_time(axes, motion.H)
+    log_lines(axes, trajectory.t, motion.curves(largest), unknown="infinite where not drawn")
+    name_curves(axes, motion.H, "Largest estimated error up to each time", "error / size")

@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
@@ -16,7 +15,7 @@ from hamsym.errors import InputError
 from hamsym.plotting.captions import caption_words
 from hamsym.plotting.figure import Figure, label
 from hamsym.plotting.phase_portraits import draw_levels
-from hamsym.plotting.style import COLORS, SEQUENTIAL, styled
+from hamsym.plotting.style import COLORS, shades, styled
 from hamsym.workbench.animations.motion import Motion
 from hamsym.workbench.animations.scenes import Scene
 
@@ -33,7 +32,7 @@ def _colors(count: int) -> np.ndarray:
     """Return colours that differ, shape (count, 4)."""
     if count <= len(COLORS):
         return np.array([to_rgba(color) for color in COLORS[:count]])
-    return np.asarray(matplotlib.colormaps[SEQUENTIAL](np.linspace(0, 0.92, count)))
+    return shades(count)
 
 
 class Film:
