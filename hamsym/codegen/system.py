@@ -21,6 +21,11 @@ from hamsym.support.shown import Shown
 from hamsym.symbolic.equations import Equations
 
 
+def _on_first_use(name: str) -> Any:
+    """An attribute that is the function of this name, loaded on first use."""
+    return cached_property(lambda system: system.function(name))
+
+
 class System(Shown):
     """Callables of a generated module, each generated on first use.
 
@@ -86,21 +91,13 @@ class System(Shown):
         """The equations of which these are the functions."""
         return self._source.form
 
-    @cached_property
-    def energy(self) -> Callable[..., Any]:
-        return self.function("energy")
-
-    @cached_property
-    def gradient(self) -> Callable[..., Any]:
-        return self.function("gradient")
-
-    @cached_property
-    def vector_field(self) -> Callable[..., Any]:
-        return self.function("vector_field")
-
-    @cached_property
-    def hessian(self) -> Callable[..., Any]:
-        return self.function("hessian")
+    energy = _on_first_use("energy")
+    gradient = _on_first_use("gradient")
+    vector_field = _on_first_use("vector_field")
+    hessian = _on_first_use("hessian")
+    power = _on_first_use("power")
+    residual = _on_first_use("residual")
+    loss = _on_first_use("loss")
 
     @cached_property
     def jacobian(self) -> Callable[..., Any]:
@@ -114,18 +111,6 @@ class System(Shown):
             return product(hessian(*arguments, **parameters))
 
         return jacobian
-
-    @cached_property
-    def power(self) -> Callable[..., Any]:
-        return self.function("power")
-
-    @cached_property
-    def residual(self) -> Callable[..., Any]:
-        return self.function("residual")
-
-    @cached_property
-    def loss(self) -> Callable[..., Any]:
-        return self.function("loss")
 
     def function(self, name: str) -> Callable[..., Any]:
         """Load a function by its name: also a function of rows, or with numba a loop."""
@@ -156,6 +141,17 @@ class System(Shown):
             return {}
         names = [name for name, _ in self._source.names.parameters]
         return {name: parameters[..., i] for i, name in enumerate(names)}
+
+    def at(
+        self, name: str, z: np.ndarray, t: Any = 0.0, parameters: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Evaluate a function of numpy at states and times; infinite and NaN without a warning.
+
+        - parameters: As of :meth:`keywords`.
+        """
+        with np.errstate(all="ignore"):
+            given = self.arguments(z, t)
+            return np.asarray(getattr(self, name)(*given, **self.keywords(parameters)), dtype=float)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored, (self._source.form, self.backend)

@@ -348,7 +348,7 @@ class _Indicators:
     ) -> np.ndarray:
         """Return the rates of growth of vectors of length 1, per unit of elapsed time."""
         with np.errstate(all="ignore"):
-            matrices = np.asarray(self._system.jacobian(*self._system.arguments(states, times)))
+            matrices = self._system.at("jacobian", states, times)
             own = matrices * (self._scales.T / self._scales)
             rates = np.einsum("ni,nij,nj->n", vectors, own, vectors)
         return rates if self._plan.size > 0 else -rates

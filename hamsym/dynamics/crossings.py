@@ -18,7 +18,6 @@ from typing import NamedTuple
 import numpy as np
 
 from hamsym.errors import InputError
-from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.coefficients import Doubled
 from hamsym.integrators.energy_drift import EnergyDrift
 from hamsym.integrators.hidden_features import Path, hidden_features
@@ -190,7 +189,7 @@ def _located(
     with np.errstate(all="ignore"):  # where a trajectory has escaped
         rows = None if parameters is None else parameters[:, None]
         values = np.asarray(where.value(path, at, rows), dtype=float)
-        rates = _rates(members.H, path, at, rows)
+        rates = members.H.compile("numpy").at("vector_field", path, at, rows)
     without = (np.isnan(values) & np.isfinite(path).all(axis=-1)).any(axis=0)
     undefined = float(times[np.argmax(without)]) if without.any() else math.nan
     if where.enclosed is None:
@@ -267,7 +266,7 @@ class _Steps:
         """Values of the surface function, and its components with their rates."""
         z, t, own = self.states(share, index), self.times(share, index), self.parameters(index)
         values = np.asarray(self.setting.where.value(z, t, own), dtype=float)
-        rates = _rates(self.members.H, z, t, own)
+        rates = self.members.H.compile("numpy").at("vector_field", z, t, own)
         return values, z[:, self.setting.where.components], rates[:, self.setting.where.components]
 
     def enclosed(self, cells: Cells) -> Ranges:
@@ -278,13 +277,6 @@ class _Steps:
         given = None if own is None else lambda i: Ranges.constant(own[:, i])
         assert self.setting.where.enclosed is not None
         return self.setting.where.enclosed(lambda i: component_ranges(cells, i), t, given)
-
-
-def _rates(
-    H: Hamiltonian, z: np.ndarray, t: np.ndarray, parameters: np.ndarray | None
-) -> np.ndarray:
-    system = H.compile("numpy")
-    return np.asarray(system.vector_field(*system.arguments(z, t), **system.keywords(parameters)))
 
 
 def _slopes(

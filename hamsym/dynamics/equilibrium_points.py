@@ -94,7 +94,7 @@ class Finder:
             found = [balls.energy(state), *balls.gradient(state)]
             middle = [float(entry.mid()) for entry in found]
             radius = [above(entry.rad()) + TINY for entry in found]
-        slopes = np.asarray(self.H.compile("numpy").gradient(z))
+        slopes = self.H.compile("numpy").at("gradient", z)
         require_same(
             "Hamiltonian",
             ("H", *(f"dH/d{name}" for name in self.H.names)),
@@ -109,8 +109,7 @@ class Finder:
 
     def energy(self, z: np.ndarray) -> float:
         """H at a point."""
-        with np.errstate(all="ignore"):
-            return float(self.H.compile("numpy").energy(z))
+        return float(self.H.compile("numpy").at("energy", z))
 
     def _stability_of(self, z: np.ndarray) -> LinearStability:
         """Stability at a proven equilibrium, for all H that round to this one."""

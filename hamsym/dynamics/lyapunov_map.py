@@ -380,9 +380,8 @@ class _Run:
     def _scales(self, index: np.ndarray) -> np.ndarray:
         """Return the units of the tangent vectors of members, from their starts, (n, dim, 1)."""
         system, states = self._members.H.compile("numpy"), self._members.states[index]
-        values = system.keywords(self._members.own_parameters(index))
-        with np.errstate(all="ignore"):
-            found = np.asarray(system.jacobian(*system.arguments(states, self._span[0]), **values))
+        values = self._members.own_parameters(index)
+        found = system.at("jacobian", states, self._span[0], values)
         dim = states.shape[1]
         if found.ndim == 2:  # a constant matrix
             found = found[None]

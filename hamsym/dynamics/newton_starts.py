@@ -29,8 +29,7 @@ class Candidates:
         self._system, self.sizes = H.compile("numpy"), sizes
 
     def derivatives(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        with np.errstate(all="ignore"):
-            return np.asarray(self._system.gradient(z)), np.asarray(self._system.hessian(z))
+        return self._system.at("gradient", z), self._system.at("hessian", z)
 
     def steps(self, z: np.ndarray, cut: float = _SINGULAR) -> tuple[np.ndarray, np.ndarray]:
         """Newton steps, shape (n, dim), and residuals, shape (n,); NaN where H is not finite.

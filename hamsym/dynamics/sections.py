@@ -360,8 +360,8 @@ def _energy_error(members: Ensemble, z: np.ndarray, trajectory: np.ndarray) -> f
     if not members.H.conserves_energy:
         return float("nan")
     system = members.H.compile("numpy")
-    starts = system.energy(members.states, **system.keywords(members.own_parameters()))
-    energy = system.energy(z, **system.keywords(members.own_parameters(trajectory)))
+    starts = system.at("energy", members.states, 0.0, members.own_parameters())
+    energy = system.at("energy", z, 0.0, members.own_parameters(trajectory))
     return float(np.abs(energy - starts[trajectory]).max(initial=0.0))
 
 

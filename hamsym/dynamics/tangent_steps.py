@@ -67,10 +67,8 @@ class TangentSteps:
             whole = abs(span[1] - span[0])
             dt = min(whole, 1 / (STEPS_PER_RADIAN * rate) if rate > 0 else whole / 20_000)
         number = checked_steps(span[1] - span[0], steps, dt)
-        size, system = (span[1] - span[0]) / number, H.compile("numpy")
-        with np.errstate(all="ignore"):
-            jacobians = np.asarray(system.jacobian(*system.arguments(path, times)))
-        scales = tangent_scales(jacobians)[:, None]
+        size = (span[1] - span[0]) / number
+        scales = tangent_scales(H.compile("numpy").at("jacobian", path, times))[:, None]
         return cls(H, method, span, number, size, rate, chosen, scales)
 
     def block(self, growth: float) -> int:

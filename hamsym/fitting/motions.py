@@ -135,9 +135,8 @@ def rates(unknowns: Unknowns, values: np.ndarray, start: float) -> np.ndarray:
     system = unknowns.H.compile("numpy")
     columns = unknowns.parameters(values)
     rows = np.array([columns[name] for name in unknowns.H.parameter_names]).T if columns else None
-    with np.errstate(all="ignore"):
-        at = system.arguments(unknowns.starts(values), np.full(len(values), start))
-        matrices = np.asarray(system.jacobian(*at, **system.keywords(rows)), dtype=float)
+    times = np.full(len(values), start)
+    matrices = system.at("jacobian", unknowns.starts(values), times, rows)
     shape = (len(values), unknowns.H.dim, unknowns.H.dim)
     matrices = np.broadcast_to(matrices, shape)
     finite = np.isfinite(matrices).all(axis=(1, 2))

@@ -148,9 +148,8 @@ def _change(
     system = members.H.compile("numpy")
     with np.errstate(all="ignore"):
         at, t, values = _sampled(members, z, times)
-        given = system.keywords(values)
-        matrices = np.abs(system.jacobian(*system.arguments(at, t), **given))
-        rates = np.abs(np.asarray(system.vector_field(*system.arguments(at, t), **given)))
+        matrices = np.abs(system.at("jacobian", at, t, values))
+        rates = np.abs(system.at("vector_field", at, t, values))
         rounded = finite_or_zero(np.einsum("nij,nj->ni", matrices, np.abs(at))).max(axis=0)
         size = np.where(there, np.abs(z), 0.0).max(axis=1)
         noise = round_off(steps) * (size + abs(times[-1] - times[0]) / steps * rounded)

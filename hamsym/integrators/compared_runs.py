@@ -242,14 +242,14 @@ class ComparedRuns:
         if not self.members.H.conserves_energy:
             return np.zeros(len(rows))
         z = states.transpose(1, 0, 2)
-        given = self.system.keywords(self.members.own_parameters(rows))
+        given = z, 0.0, self.members.own_parameters(rows)
+        energy = self.system.at("energy", *given)
+        slopes = np.abs(self.system.at("gradient", *given))
+        noise = 4 * _EPS * math.sqrt(steps)
         with np.errstate(all="ignore"):
-            energy = np.asarray(self.system.energy(z, **given))
-            slopes = np.abs(np.asarray(self.system.gradient(z, **given)))
             # Of the sizes, by the tolerance; of the states and of H, by round-off.
             allowed = np.einsum("tni,ni->tn", slopes, SLACK * self.tol * sizes)
-            noise = 4 * _EPS * math.sqrt(steps)
-            allowed += noise * np.einsum("tni,tni->tn", slopes, np.abs(z)) + noise * np.abs(energy)
+            allowed += noise * (np.einsum("tni,tni->tn", slopes, np.abs(z)) + np.abs(energy))
             change = np.abs(energy - energy[0])
             allowed = np.maximum(allowed, allowed[0])
             share = np.where(change == 0, 0.0, change / allowed).max(axis=0)

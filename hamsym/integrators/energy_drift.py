@@ -35,7 +35,7 @@ class EnergyDrift:
 
     def __init__(self, H: Hamiltonian, count: int, parameters: np.ndarray | None = None) -> None:
         self._H, self._system, self._count = H, H.compile("numpy"), count
-        self._values = self._system.keywords(None if parameters is None else parameters[:, None])
+        self._values = None if parameters is None else parameters[:, None]
         self._first = np.full(count, np.nan)
         #: max_t |H - H(start)| of each trajectory; infinite where H is nan or infinite.
         self.change = np.zeros(count)
@@ -57,8 +57,9 @@ class EnergyDrift:
 
     def _add(self, path: np.ndarray) -> None:
         dof, there = self._H.dof, np.isfinite(path).all(axis=-1)
-        energy = np.asarray(self._system.energy(path, **self._values), dtype=float)
-        gradient = np.asarray(self._system.gradient(path, **self._values), dtype=float)
+        energy, gradient = (
+            self._system.at(name, path, 0.0, self._values) for name in ("energy", "gradient")
+        )
         self._first = np.where(np.isnan(self._first), energy[:, 0], self._first)
         change = np.abs(energy - self._first[:, None])
         change = np.where(there, np.nan_to_num(change, nan=np.inf), 0.0)

@@ -185,17 +185,14 @@ class HiddenFeatures:
         """Sizes of the components of a trajectory, to which its errors are relative."""
         there = np.flatnonzero(np.isfinite(z).all(axis=-1))
         some = there[np.linspace(0, len(there) - 1, min(len(there), _SAMPLED)).astype(int)]
-        given = self._system.keywords(parameters)
+        slopes = self._system.at("jacobian", z[some], t[some], parameters)
         with np.errstate(all="ignore"):
-            slopes = self._system.jacobian(*self._system.arguments(z[some], t[some]), **given)
-            coupling = np.abs(np.asarray(slopes)).mean(axis=0)
+            coupling = np.abs(slopes).mean(axis=0)
         return resolved_sizes(np.abs(z[there]).max(axis=0), coupling, abs(float(t[-1] - t[0])))
 
     def rates(self, z: np.ndarray, t: np.ndarray, parameters: np.ndarray | None) -> np.ndarray:
         """Evaluate F at states, shape (n, dim)."""
-        given = self._system.keywords(parameters)
-        found = np.asarray(self._system.vector_field(*self._system.arguments(z, t), **given))
-        return np.broadcast_to(found, z.shape)
+        return np.broadcast_to(self._system.at("vector_field", z, t, parameters), z.shape)
 
 
 @functools.lru_cache(maxsize=64)

@@ -146,12 +146,11 @@ class Interpolant:
         step = length[:, None]
         states = [self._z[:, intervals], self._z[:, intervals + 1]]
         times = [self._t[intervals], self._t[intervals + 1]]
-        rates = [self._rates(z, t) for z, t in zip(states, times, strict=True)]
+        rates = [self._at("vector_field", z, t) for z, t in zip(states, times, strict=True)]
         ends = [*states, *(step * rate for rate in rates)]
         moved = np.zeros_like(states[0])
         for z, t, rate in zip(states, times, rates, strict=True):
-            arguments = self._system.arguments(z, t)
-            slopes = np.asarray(self._system.jacobian(*arguments, **self._keywords))
+            slopes = self._at("jacobian", z, t)
             if self._smooth:
                 ends.append(step**2 * (slopes * rate[..., None, :]).sum(axis=-1))
             turned = (np.abs(slopes) * self._sizes[:, None, None]).sum(axis=-1)
@@ -172,18 +171,13 @@ class Interpolant:
             share = np.full(len(begin), s)
             z = self._polynomial(ends, share)
             rate = self._polynomial(ends, share, derivative=True)
-            defect = rate - length[:, None] * self._rates(z, begin + s * length)
+            defect = rate - length[:, None] * self._at("vector_field", z, begin + s * length)
             size = np.abs(defect) / (k * (s * (1 - s)) ** (k - 1) * abs(1 - 2 * s))
             worst = np.maximum(worst, size)  # nan stays
         return worst / 4**k
 
-    def _rates(self, z: np.ndarray, t: np.ndarray) -> np.ndarray:
-        arguments = self._system.arguments(z, t)
-        return np.asarray(self._system.vector_field(*arguments, **self._keywords))
-
-    @property
-    def _keywords(self) -> dict[str, np.ndarray]:
-        return self._system.keywords(self._members.own_parameters(np.s_[:, None]))
+    def _at(self, name: str, z: np.ndarray, t: np.ndarray) -> np.ndarray:
+        return self._system.at(name, z, t, self._members.own_parameters(np.s_[:, None]))
 
     def _polynomial(
         self, ends: np.ndarray, share: np.ndarray, derivative: bool = False

@@ -196,12 +196,8 @@ class ToleranceSearch:
 
     def _has_rates(self, rows: np.ndarray) -> np.ndarray:
         """Whether H and its gradient are finite at the starts of members, shape (n,)."""
-        states = self._members.states[rows]
-        given = self._runs.system.keywords(self._members.own_parameters(rows))
-        arguments = self._runs.system.arguments(states, self._span[0])
-        with np.errstate(all="ignore"):
-            energy = np.asarray(self._runs.system.energy(*arguments, **given))
-            rates = np.asarray(self._runs.system.vector_field(*arguments, **given))
+        given = self._members.states[rows], self._span[0], self._members.own_parameters(rows)
+        energy, rates = (self._runs.system.at(name, *given) for name in ("energy", "vector_field"))
         return np.asarray(np.isfinite(energy) & np.isfinite(rates).all(axis=1))
 
     def _rounded(self, steps: np.ndarray, digits: int) -> np.ndarray:
@@ -291,10 +287,9 @@ class ToleranceSearch:
         self._coupled[member] = True
         z, sizes = result.states[position], result.found.sizes[position]
         times = np.linspace(*self._span, len(z))
-        given = self._runs.system.keywords(self._members.own_parameters(np.array([member])))
+        given = self._members.own_parameters(np.array([member]))
         with np.errstate(all="ignore"):
-            jacobian = self._runs.system.jacobian(*self._runs.system.arguments(z, times), **given)
-            coupling = np.abs(np.asarray(jacobian)).mean(axis=0)
+            coupling = np.abs(self._runs.system.at("jacobian", z, times, given)).mean(axis=0)
         length = abs(self._span[1] - self._span[0])
         if np.isfinite(sizes).all():
             self._runs.least[member] = SMALLEST * coupled_sizes(sizes, coupling, length)

@@ -245,9 +245,7 @@ class Trajectory(Drawn, Saved):
         values = self.ensemble.own_parameters()
         if values is not None:
             values = values.reshape(*self.ensemble.shape, 1, -1)
-        with np.errstate(all="ignore"):  # H may overflow at the last finite state before an escape
-            arguments = system.arguments(self.z, self.t)
-            return np.asarray(system.energy(*arguments, **system.keywords(values)))
+        return system.at("energy", self.z, self.t, values)
 
     @cached_property
     def energy_drift(self) -> np.ndarray:

@@ -280,9 +280,8 @@ def _alike(periods: Sequence[float | None]) -> bool:
 
 def _exchanged(manifold: Manifold) -> float:
     """A size of the energy near the origin: |grad H| times the size of the local manifold."""
-    system, scale = manifold.H.compile("numpy"), manifold.departure.local.scale
-    states = manifold.z0
-    slopes = np.abs(np.asarray(system.gradient(*system.arguments(states, 0.0))))
+    states, scale = manifold.z0, manifold.departure.local.scale
+    slopes = np.abs(manifold.H.compile("numpy").at("gradient", states))
     return float((slopes * np.maximum(scale, np.abs(states).max(axis=0))).max())
 
 

@@ -109,8 +109,8 @@ class Side:
         if leaving.period is not None:
             columns.append(leaving.by_phase(self.direction, self.phase))
         moved = np.asarray(solution.sensitivity(end)) @ np.array(columns).T if columns else None
-        system = leaving.H.compile("numpy")
-        rate = leaving.sign * np.asarray(system.vector_field(*system.arguments(solution(end), end)))
+        rates = leaving.H.compile("numpy").at("vector_field", solution(end), end)
+        rate = leaving.sign * rates
         return rate[:, None] if moved is None else np.concatenate([moved, rate[:, None]], axis=1)
 
 

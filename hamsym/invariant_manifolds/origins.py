@@ -98,12 +98,7 @@ class Departure:
 def _field(H: Hamiltonian, t: float, sign: int = 1) -> Callable[[np.ndarray], np.ndarray]:
     """The rates at states, forwards or backwards in time."""
     system = H.compile("numpy")
-
-    def field(states: np.ndarray) -> np.ndarray:
-        with np.errstate(all="ignore"):
-            return sign * np.asarray(system.vector_field(*system.arguments(states, t)))
-
-    return field
+    return lambda states: sign * system.at("vector_field", states, t)
 
 
 def departure(origin: Origin, sign: int, wanted: float) -> Departure:
@@ -133,9 +128,8 @@ def _of_equilibrium(origin: Equilibrium, sign: int, wanted: float) -> Departure:
             f"no trajectory leaves this equilibrium exponentially: it is {what}; manifolds need an "
             "eigenvalue with a real part"
         )
-    system, z = H.compile("numpy"), origin.z
-    matrix = sign * np.asarray(system.jacobian(*system.arguments(z, 0.0)))
-    matrix, coupling = _coupled(matrix)
+    z = origin.z
+    matrix, coupling = _coupled(sign * H.compile("numpy").at("jacobian", z))
     rates, vectors = _eigenvectors(matrix, np.sort(origin.eigenvalues.real)[::-1][:count].min() / 2)
     if len(rates) != count:
         raise InputError("eigenvalues of the equilibrium are too near to zero to be told apart")
@@ -266,9 +260,8 @@ def _away(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _jacobians(orbit: PeriodicOrbit) -> np.ndarray:
-    system = orbit.H.compile("numpy")
     times = orbit.problem.start + orbit.period * np.linspace(0, 1, 65)[:-1]
-    return np.asarray(system.jacobian(*system.arguments(orbit(times), times)))
+    return orbit.H.compile("numpy").at("jacobian", orbit(times), times)
 
 
 def _map_of(H: Hamiltonian, span: tuple[float, float]) -> Callable[..., np.ndarray]:

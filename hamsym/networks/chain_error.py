@@ -76,8 +76,8 @@ def estimate_chain_error(
 
     with np.errstate(all="ignore"):
         z, dz = chain.states_and_rates(t)
-        rates = np.asarray(system.vector_field(*system.arguments(z, t)))
-        jacobians = system.jacobian(*system.arguments(z, t))
+        rates = system.at("vector_field", z, t)
+        jacobians = system.at("jacobian", z, t)
         scale = resolved_sizes(
             np.abs(z).max(axis=0),
             np.abs(jacobians).mean(axis=0),
@@ -86,7 +86,7 @@ def estimate_chain_error(
         unit = np.where(scale > 0, scale, 1.0)
         signs = np.random.default_rng(0).choice((-1.0, 1.0), size=(_SETS, count, dim))
         disturbed = z * (1 + _EPS * np.repeat(signs[0], nodes, axis=0))
-        nearby = np.asarray(system.vector_field(*system.arguments(disturbed, t)))
+        nearby = system.at("vector_field", disturbed, t)
         noise = np.abs(nearby - rates).reshape(count, nodes, dim).max(axis=1)
         kicks = _EPS * np.abs(z).reshape(count, nodes, dim).max(axis=1)
         kicks = _ROUND_OFF * (kicks + np.abs(lengths)[:, None] * noise) / unit
@@ -110,8 +110,8 @@ def estimate_chain_error(
             if sizes.max() <= _SMALL or change <= _SETTLED * sizes.max():
                 settled = True
                 break
-            moved = (z[: good * nodes] + error.reshape(-1, dim), t[: good * nodes])
-            higher = np.asarray(system.vector_field(*system.arguments(*moved)))
+            moved = z[: good * nodes] + error.reshape(-1, dim)
+            higher = system.at("vector_field", moved, t[: good * nodes])
             higher = higher.reshape(good, nodes, dim) - rates.reshape(count, nodes, dim)[:good]
             linear = np.einsum("wnij,wnj->wni", jacobians[:good], error)
             forcing = residual[:good] + higher - linear

@@ -92,7 +92,7 @@ class _Flow:
     """Hamilton's equations of H in dimensionless variables."""
 
     def __init__(self, H: Hamiltonian) -> None:
-        self._numpy, self._torch = H.compile("numpy"), H.compile("torch")
+        self.numpy, self._torch = H.compile("numpy"), H.compile("torch")
 
     def equations(self, z: np.ndarray, t: float, h: float, size: np.ndarray) -> Equations:
         """Return the equations in y = (z - z_a)/S and u = (t - t_a)/h."""
@@ -113,13 +113,6 @@ class _Flow:
             return ((t + h * u) - t) / h
 
         return Equations(rates, jacobian, places)
-
-    def rates(self, z: np.ndarray, t: float) -> np.ndarray:
-        return np.asarray(self._numpy.vector_field(*self._numpy.arguments(z, t)), dtype=float)
-
-    def generators(self, z: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """Return J Hess at states, shape (K, dim, dim)."""
-        return np.asarray(self._numpy.jacobian(*self._numpy.arguments(z, t)), dtype=float)
 
 
 class _Window:
@@ -247,10 +240,10 @@ class ChainRun:
 
     def _size(self, window: _Window) -> np.ndarray:
         """Return the sizes of the components up to the end of a window, shape (dim,)."""
-        h, rates = abs(window.h), np.abs(self._flow.rates(self._z, window.start))
+        h, rates = abs(window.h), np.abs(self._flow.numpy.at("vector_field", self._z, window.start))
         own = np.maximum(self._sizes, h * np.where(np.isfinite(rates), rates, 0.0))
         seen = np.abs(window.samples).max(axis=0)
-        generator = self._flow.generators(self._z[None], np.array([window.start]))[0]
+        generator = self._flow.numpy.at("jacobian", self._z, window.start)
         sizes = coupled_sizes(np.maximum(own, seen), np.abs(generator), h)
         return np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0)
 
@@ -260,7 +253,7 @@ class ChainRun:
         Raise InputError if the motion in an equal window needs too large a network.
         """
         layout = self._layout
-        matrices = self._flow.generators(window.samples, window.times)
+        matrices = self._flow.numpy.at("jacobian", window.samples, window.times)
         matrices = matrices[np.isfinite(matrices).all(axis=(1, 2))]
         rates = np.abs(np.linalg.eigvals(matrices)).max(axis=1, initial=0.0)
         fastest = float(rates.mean()) if len(rates) else 0.0

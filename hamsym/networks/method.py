@@ -170,8 +170,7 @@ def _penalties(problem: InitialValueProblem, method: JointTraining) -> list[_Pen
     found = [_Penalty(problem.H.compile("torch"), problem.energy_0, method.energy_weight)]
     functions = problem.invariants.functions if method.invariant_weight else ()
     for function in functions:
-        exact = function.compile("numpy")
-        start = float(exact.energy(*exact.arguments(problem.z0, problem.span[0])))
+        start = float(function.compile("numpy").at("energy", problem.z0, problem.span[0]))
         found.append(_Penalty(function.compile("torch"), start, method.invariant_weight))
     return found
 

@@ -82,10 +82,9 @@ def _draw_energy(axes: Axes, comparison: Comparison, curves: list[Any]) -> None:
     system = H.compile("numpy")
     errors = []
     for text, times, z, style in curves:
-        right = comparison.reference(times)
+        right = system.at("energy", comparison.reference(times), times)
         with np.errstate(all="ignore"):
-            energy = system.energy(*system.arguments(z, times))
-            change = np.abs(energy - system.energy(*system.arguments(right, times)))
+            change = np.abs(system.at("energy", z, times) - right)
         errors.append((times, change, {**style, "label": text}))
     _draw_curves(axes, errors)
     name_curves(axes, H, "Energy error", r"$|\delta H|$", energy_unit(H))

@@ -147,7 +147,7 @@ def _sizes_of(found: Equilibria, there: list[int], i: int, j: int) -> tuple[floa
     def change(index: int, sizes: np.ndarray) -> np.ndarray:
         z = np.tile(place, (len(sizes), 1))
         z[:, index] += sizes
-        return np.abs(np.asarray(system.energy(z)) - np.asarray(system.energy(place)))
+        return np.abs(system.at("energy", z) - system.at("energy", place))
 
     sizes = 10.0 ** np.linspace(-40, 6, 461)
     with np.errstate(all="ignore"):

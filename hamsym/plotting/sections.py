@@ -205,11 +205,9 @@ def _directions(section: Section) -> tuple[np.ndarray, str]:
         return rising, ""
     H = section.H
     value = parse_surface(H, section.surface).value
-    system = H.compile("numpy")
+    rows = section.own_parameters
+    rates = H.compile("numpy").at("vector_field", section.z, section.t, rows)
     with np.errstate(all="ignore"):
-        rows = section.own_parameters
-        arguments = system.arguments(section.z, section.t)
-        rates = np.asarray(system.vector_field(*arguments, **system.keywords(rows)))
         sizes = np.abs(section.z).max(axis=0) / np.abs(rates).max(axis=0)
         step = _ASIDE * float(np.nanmin(np.where(sizes > 0, sizes, np.nan), initial=1.0))
         ahead, behind = section.z + step * rates, section.z - step * rates

@@ -133,12 +133,9 @@ class KnownInvariants:
         if parameters is not None:
             names = self.H.parameter_names
             parameters = parameters[..., [names.index(name) for name in function.parameter_names]]
-        values = system.keywords(parameters)
-        arguments = system.arguments(states, times)
-        first = system.energy(*system.arguments(starts, start), **values)
-        now = system.energy(*arguments, **values)
-        slopes = np.abs(system.gradient(*arguments, **values))
-        curvatures = np.abs(system.hessian(*arguments, **values))
+        given = states, times, parameters
+        first, now = system.at("energy", starts, start, parameters), system.at("energy", *given)
+        slopes, curvatures = (np.abs(system.at(name, *given)) for name in ("gradient", "hessian"))
         rows = np.broadcast_to(allowed, states.shape)
         explained = (slopes * rows).sum(axis=-1)
         explained = explained + np.einsum("...ij,...i,...j->...", curvatures, rows, rows) / 2

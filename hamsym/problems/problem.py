@@ -85,11 +85,8 @@ class InitialValueProblem:
 
         Raise InputError if H or its gradient is not finite there.
         """
-        system = self.H.compile("numpy")
-        arguments = system.arguments(self.z0, self.span[0])
-        with np.errstate(all="ignore"):
-            energy = float(system.energy(*arguments))
-            rates = system.vector_field(*arguments)
+        system, given = self.H.compile("numpy"), (self.z0, self.span[0])
+        energy, rates = float(system.at("energy", *given)), system.at("vector_field", *given)
         if not (math.isfinite(energy) and np.isfinite(rates).all()):
             raise InputError("H or its gradient is not finite at z0; choose another initial state")
         return energy

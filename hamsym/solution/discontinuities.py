@@ -99,9 +99,8 @@ def unresolved(solution: Solution) -> list[tuple[float, float]]:
     """
     times = solution.scan_times
     z, dz = solution.evaluate(times)
-    system = solution.H.compile("numpy")
+    rates = solution.H.compile("numpy").at("vector_field", z, times)
     with np.errstate(all="ignore"):
-        rates = np.asarray(system.vector_field(*system.arguments(z, times)))
         ratios = (np.abs(dz - rates) / np.abs(rates).max(axis=0))[:-1].max(axis=1)
     ratios = np.where(np.isnan(ratios), np.inf, ratios)
     places = np.argsort(ratios)[-_MOST_PLACES:]
@@ -122,9 +121,9 @@ def _symbolic_jumps(
     with np.errstate(all="ignore"):
         # A jump is compared with the largest rate of the same component.
         # The rates are the slopes with their halves exchanged, up to signs.
-        rates = np.abs(system.vector_field(*system.arguments(z, times))).max(axis=0)
+        rates = np.abs(system.at("vector_field", z, times)).max(axis=0)
         sizes = np.roll(rates, H.dof)
-        sizes = np.append(sizes, np.abs(system.energy(*system.arguments(z, times))).max())
+        sizes = np.append(sizes, np.abs(system.at("energy", z, times)).max())
         for switch in switches:
             values = switch.argument(z, times)[..., 0]
             signed = np.flatnonzero(values)
@@ -207,7 +206,7 @@ def _hidden_jumps(
     system = solution.H.compile("numpy")
 
     def rates(t: Any) -> np.ndarray:
-        return np.asarray(system.vector_field(*system.arguments(solution(t), t)))
+        return system.at("vector_field", solution(t), t)
 
     with np.errstate(all="ignore"):
         for start, end in suspects:

@@ -168,9 +168,8 @@ class Sensitivity:
             generator, eps = np.random.default_rng(0), np.finfo(z.dtype).eps
             t = t * (1 + eps * generator.choice((-1.0, 1.0), t.shape))
             z = self._path(t, extrapolate=True) * (1 + eps * generator.choice((-1.0, 1.0), z.shape))
-        system = self._path.H.compile("numpy")
         with np.errstate(all="ignore"):
-            parts = [np.asarray(system.jacobian(*system.arguments(z, t)), dtype=float)]
+            parts = [self._path.H.compile("numpy").at("jacobian", z, t)]
             if self._forcing is not None:
                 parts.append(self._forcing(z, t))
         return np.concatenate(parts, axis=-1).reshape(*times.shape, self._dim, self._columns)

@@ -473,18 +473,14 @@ class Solution(Saved):
 
     def hessians(self, t: np.ndarray) -> np.ndarray:
         """Return the Hessian of H along the trajectory, shape (*t.shape, dim, dim)."""
-        system = self.H.compile("numpy")
-        matrices = system.hessian(*system.arguments(self(t), t))
-        return np.asarray(matrices, dtype=float)
+        return self.H.compile("numpy").at("hessian", self(t), t)
 
     def jacobians(self, t: np.ndarray) -> np.ndarray:
         """Return the derivatives of the rates along the trajectory, J Hess without forces.
 
         Shape (*t.shape, dim, dim).
         """
-        system = self.H.compile("numpy")
-        matrices = system.jacobian(*system.arguments(self(t), t))
-        return np.asarray(matrices, dtype=float)
+        return self.H.compile("numpy").at("jacobian", self(t), t)
 
     @cached_property
     def scan_times(self) -> np.ndarray:

@@ -93,9 +93,7 @@ class Regularization(Shown):
         """
         original, dof = self.original, self.H.dof
         z = original.states_from(z0)
-        form, system = original.real_equations, original.compile("numpy")
-        with np.errstate(all="ignore"):
-            energy = np.asarray(system.energy(*system.arguments(z, np.asarray(float(t)))))
+        form, energy = original.real_equations, original.compile("numpy").at("energy", z, float(t))
         if not np.isfinite(energy).all():
             bad = energy[~np.isfinite(energy)].flat[0]
             raise InputError(f"H is {bad} at the start; give one that is no collision")

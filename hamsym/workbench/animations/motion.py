@@ -82,11 +82,9 @@ def _of_solutions(solutions: Solutions) -> Motion:
 def _of_trajectory(trajectory: Trajectory) -> Motion:
     z = trajectory.z.reshape(-1, *trajectory.z.shape[-2:])
     count, z = len(z), z[:MOST_MEMBERS]
-    system, members = trajectory.ensemble.H.compile("numpy"), trajectory.ensemble
+    members = trajectory.ensemble
     values = members.own_parameters(np.s_[:MOST_MEMBERS, None])
-    with np.errstate(all="ignore"):  # beyond the last finite state of a member
-        arguments = system.arguments(z, trajectory.t)
-        rates = np.asarray(system.vector_field(*arguments, **system.keywords(values)))
+    rates = members.H.compile("numpy").at("vector_field", z, trajectory.t, values)
     direction = 1 if trajectory.t[-1] >= trajectory.t[0] else -1
     pieces = [
         _spline(direction * trajectory.t, path, direction * rate)

@@ -74,11 +74,11 @@ def _stable_equilibrium(H: Hamiltonian, near: np.ndarray, time: float) -> np.nda
         return np.concatenate([q, np.zeros(d)])
 
     def height(q: np.ndarray) -> float:
-        value = float(system.energy(*system.arguments(at_rest(q), time)))
+        value = float(system.at("energy", at_rest(q), time))
         return value if math.isfinite(value) else 1e300
 
     def slope(q: np.ndarray) -> np.ndarray:
-        return np.nan_to_num(system.gradient(*system.arguments(at_rest(q), time))[:d])
+        return np.nan_to_num(system.at("gradient", at_rest(q), time)[:d])
 
     origin = np.zeros(2 * d)
     with np.errstate(all="ignore"):
@@ -86,8 +86,8 @@ def _stable_equilibrium(H: Hamiltonian, near: np.ndarray, time: float) -> np.nda
             if q.any():
                 q = scipy.optimize.minimize(height, q, jac=slope, options={"maxiter": 100}).x
             z = at_rest(q)
-            gradient = np.asarray(system.gradient(*system.arguments(z, time)), dtype=float)
-            hessian = np.asarray(system.hessian(*system.arguments(z, time)), dtype=float)
+            gradient = system.at("gradient", z, time)
+            hessian = system.at("hessian", z, time)
             if not np.isfinite(hessian).all() or not np.abs(gradient).max() <= 1e-4:
                 continue
             if np.linalg.eigvalsh(hessian).min() >= -1e-9 * np.abs(hessian).max():
