@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -44,7 +44,8 @@ class Prepared(Record):
 class MarchProof(Record):
     """A march and the state of its proof, which the library changes.
 
-    - entries, placed: Rows (i, j, place) with results and with registers; ``signs`` beside them.
+    - rates, jacobian, energy: Programs, each a :class:`Prepared`.
+    - entry, placed: Rows (i, j, place) with results and with registers; ``signs`` beside them.
     - integral: At the points of y; ``fewer_steps`` are those of V; see :meth:`Enclosures.tangents`.
     - fewer: From values at the points of y to those at the points of V.
     - features: Models of the features on a window, and readouts, shape (windows, dim, features).
@@ -62,51 +63,22 @@ class MarchProof(Record):
         *counts("columns"),
     ]
 
-    def __init__(
-        self,
-        programs: Sequence[Prepared],
-        entries: np.ndarray,
-        placed: np.ndarray,
-        signs: np.ndarray,
-        integral: np.ndarray,
-        fewer_steps: np.ndarray,
-        fewer: np.ndarray,
-        features: Models,
-        readouts: np.ndarray,
-        states: np.ndarray,
-        edges: np.ndarray,
-        origin: float,
-        most: int,
-    ) -> None:
+    def __init__(self, features: Models, most: int, **given: Any) -> None:
+        readouts, states, edges = given["readouts"], given["states"], given["edges"]
         windows, dim, inner = readouts.shape
         require_fit(states.shape == (windows + 1, dim) and edges.shape == (windows + 1,))
-        for array, kind in ((readouts, "p"), (states, "p"), (edges, "p"), (entries, "n")):
-            pointer(array, kind)
-        rates, jacobian, energy = programs
+        for name in ("readouts", "states", "edges", "entry"):
+            pointer(given[name], "n" if name == "entry" else "p")
         (high, low), length = np.zeros((2, dim, features.terms)), np.ones(dim, dtype=np.int64)
         tables = features["values"], features["series"]
-        trial = Models(*tables, high, low, np.zeros(dim), length)
         super().__init__(
             dim=dim,
-            entries=len(entries),
+            entries=len(given["entry"]),
             inner=inner,
             most=most,
-            rates=rates,
-            jacobian=jacobian,
-            energy=energy,
-            entry=entries,
-            placed=placed,
-            signs=signs,
-            integral=integral,
-            fewer_steps=fewer_steps,
-            orders=fewer_steps.shape[2],
-            fewer=fewer,
+            orders=given["fewer_steps"].shape[2],
             features=features,
-            trial=trial,
-            readouts=readouts,
-            states=states,
-            edges=edges,
-            origin=origin,
+            trial=Models(*tables, high, low, np.zeros(dim), length),
             sizes=np.zeros(dim),
             couplings=np.zeros((dim, dim)),
             centre=states[0].copy(),
@@ -114,4 +86,5 @@ class MarchProof(Record):
             G=np.zeros((dim, most)),
             R=np.zeros(most),
             columns=0,
+            **given,
         )

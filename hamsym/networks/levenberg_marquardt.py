@@ -24,7 +24,8 @@ from hamsym.networks.module_rates import ModuleRates
 from hamsym.networks.module_trial import ModuleTrial
 from hamsym.networks.network import Network, layers_of
 from hamsym.networks.objective import Objective
-from hamsym.networks.points import fresh_points, points_between
+from hamsym.networks.optimizers import QuasiNewton
+from hamsym.networks.points import fresh_points
 from hamsym.networks.sensitivities import Layer, backward, forward
 from hamsym.networks.trial import TrialSolution
 from hamsym.support.validation import require_whole
@@ -33,12 +34,11 @@ from hamsym.support.validation import require_whole
 # 1e-14 in float64.
 _MU_FIRST, _MU_LEAST = 1e-3, 1e-14 / torch.finfo(torch.float64).eps
 _ATTEMPTS = 10
-_FAILURES = 3  # iterations in a row without an acceptable step that count as a stall
 _FEWEST_POINTS = 60
 _PROBE = 0.1  # fraction of the step over which its curvature is measured
 
 
-class LevenbergMarquardt:
+class LevenbergMarquardt(QuasiNewton):
     """Levenberg-Marquardt with new random points in every iteration.
 
     Raise InputError if a trial solution has no known derivative in its weights, or the objective
@@ -47,16 +47,13 @@ class LevenbergMarquardt:
     - points: Collocation points K on the whole span; short spans of sequential training have fewer.
     """
 
+    _trial: TrialSolution | ModuleTrial
     check_every = 5
+    _PATIENCE = 3  # iterations in a row without an acceptable step that count as a stall
 
     def __init__(self, *, points: int = 200) -> None:
         require_whole("points", points, 2)
         self.points = points
-
-    @property
-    def stalled(self) -> bool:
-        """Whether several iterations in a row found no acceptable step."""
-        return self._failures >= _FAILURES
 
     def bind(
         self, trial: torch.nn.Module, objective: Objective, generator: torch.Generator
@@ -67,18 +64,12 @@ class LevenbergMarquardt:
             )
         if not isinstance(trial, (TrialSolution, ModuleTrial)):
             raise InputError("the trial solution is not a TrialSolution; use Adam or LBFGS")
-        self._weights, self._dtype, self._device = trial.weights, trial.z0.dtype, trial.z0.device
-        self._generator = generator
+        super().bind(trial, objective, generator)
+        self._weights = trial.weights
         self._mu_least = _MU_LEAST * torch.finfo(self._dtype).eps
-        self._trial, self._objective = trial, objective
-        self.reset()
 
     def reset(self) -> None:
         self._mu, self._failures = _MU_FIRST, 0
-
-    def fixed_points(self, span: tuple[float, float]) -> Tensor:
-        """Return midpoints between twice as many points of the same density."""
-        return points_between(span, self.points, self._dtype).to(self._device)
 
     @torch.no_grad()
     def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:

@@ -100,7 +100,7 @@ class Adam(GradientOptimizer):
 
 
 class QuasiNewton(GradientOptimizer):
-    """Common part of quasi-Newton methods, whose points are constant for some iterations."""
+    """Common part of methods that stall after some failures in a row and draw random points."""
 
     check_every = 10
     _PATIENCE = 5  # restarts in a row without a step that count as a stall
@@ -108,7 +108,7 @@ class QuasiNewton(GradientOptimizer):
 
     @property
     def stalled(self) -> bool:
-        """Whether several restarts in a row with new points made no step."""
+        """Whether several iterations or restarts in a row, with new points, made no step."""
         return self._failures >= self._PATIENCE
 
     def fixed_points(self, span: tuple[float, float]) -> Tensor:

@@ -12,7 +12,7 @@ to a tangency. The path between two samples is bounded by the second differences
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -77,27 +77,15 @@ class Cells:
         }
         return cls(**{n: np.concatenate(a, axis=int(n in _PAIRS)) for n, a in columns.items()})
 
-    def halves(self, values: np.ndarray, states: np.ndarray, rates: np.ndarray) -> Cells:
-        """Both halves of each part, by what the path and the function are in the middle."""
+    def halves(self, *between: np.ndarray) -> Cells:
+        """Both halves of each part, by the values, states and rates in the middle."""
         middle = (self.low + self.high) / 2
-
-        def twice(array: np.ndarray) -> np.ndarray:
-            return np.concatenate((array, array))
-
-        def split(ends: np.ndarray, between: np.ndarray) -> np.ndarray:
-            first, last = np.stack((ends[0], between)), np.stack((between, ends[1]))
-            return np.concatenate((first, last), axis=1)
-
-        return Cells(
-            twice(self.index),
-            np.concatenate((self.low, middle)),
-            np.concatenate((middle, self.high)),
-            twice(self.width),
-            split(self.values, values),
-            split(self.states, states),
-            split(self.rates, rates),
-            twice(self.bends),
-            twice(self.scale),
+        between_ends = zip(_PAIRS, between, strict=True)
+        ends = {name: (*getattr(self, name), found) for name, found in between_ends}
+        first = {name: np.stack((low, found)) for name, (low, _, found) in ends.items()}
+        last = {name: np.stack((found, high)) for name, (_, high, found) in ends.items()}
+        return Cells.of_parts(
+            [replace(self, high=middle, **first), replace(self, low=middle, **last)]
         )
 
 

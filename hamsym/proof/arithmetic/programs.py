@@ -15,27 +15,8 @@ from typing import Any
 import numpy as np
 from flint import arb
 
-from hamsym.kernel.enclosures import (
-    ADD,
-    ARCCOSINE,
-    ARCOSH,
-    ARCSINE,
-    ARCTANGENT,
-    ARSINH,
-    ARTANH,
-    ERROR_FUNCTION,
-    EXPONENTIAL,
-    LOGARITHM,
-    MULTIPLY,
-    NEGATE,
-    RECIPROCAL,
-    RECIPROCAL_ROOT,
-    REDUCED_ANGLE,
-    SINE_COSINE,
-    SUBTRACT,
-    Models,
-    enclosures,
-)
+from hamsym.kernel import enclosures as operations
+from hamsym.kernel.enclosures import Models, enclosures
 from hamsym.numerics.collocation import chebyshev_tables
 from hamsym.proof.arithmetic import functions
 from hamsym.proof.arithmetic.balls import number_of, working
@@ -62,7 +43,7 @@ class Program:
         steps = np.array(recorder.steps, dtype=np.int64).reshape(-1, 4)
         still = np.isin(steps[:, 1], list(recorder.still))
         self.steps, self.still = steps[~still], steps[still]
-        pairs = self.still[self.still[:, 0] == SINE_COSINE]
+        pairs = self.still[self.still[:, 0] == operations.SINE_COSINE]
         self.still_places = np.concatenate([self.still[:, 1], pairs[:, 3]])
         known = recorder.constants
         self.constants = np.array([place for place, _ in known], dtype=np.int64)
@@ -136,17 +117,11 @@ class Recorder:
 
     # -- rules --------------------------------------------------------------------------------
 
-    def square(self, x: _Value) -> _Value:
-        return self.add_step(MULTIPLY, x, x)
-
-    def one_and(self, x: Any, operation: int = ADD) -> _Value:
-        return self.add_step(operation, arb(1), x)
-
     def sine_cosine(self, x: _Value) -> tuple[_Value, _Value]:
         if x.place not in self._pairs:
             angle = self._reduced(x)
             sine, cosine = self._new(), self._new()
-            self.steps.append((SINE_COSINE, sine, angle.place, cosine))
+            self.steps.append((operations.SINE_COSINE, sine, angle.place, cosine))
             if angle.place in self.still:
                 self.still |= {sine, cosine}
             self._pairs[x.place] = _Value(self, sine), _Value(self, cosine)
@@ -157,26 +132,26 @@ class Recorder:
         moving, still = self._parts(angle)
         if still is None:
             return angle
-        reduced = self.add_step(REDUCED_ANGLE, still)
-        return reduced if moving is None else self.add_step(ADD, moving, reduced)
+        reduced = self.add_step(operations.REDUCED_ANGLE, still)
+        return reduced if moving is None else self.add_step(operations.ADD, moving, reduced)
 
     def _parts(self, value: _Value) -> tuple[_Value | None, _Value | None]:
         """A value as the sum of two, of which the second depends on time and not on the state."""
         if value.place in self.still:
             return None, value
         operation, a, b = self._made.get(value.place, (None, value, value))
-        if operation in (ADD, SUBTRACT):
+        if operation in (operations.ADD, operations.SUBTRACT):
             first, second = self._parts(a), self._parts(b)
             if first[1] is not None or second[1] is not None:
                 moving, still = (
                     self._joined(operation, *pair) for pair in zip(first, second, strict=True)
                 )
                 return moving, still
-        elif operation == NEGATE:
+        elif operation == operations.NEGATE:
             moving, still = self._parts(a)
             if still is not None:
                 return None if moving is None else -moving, -still
-        elif operation == MULTIPLY and {a.place, b.place} & self._known:
+        elif operation == operations.MULTIPLY and {a.place, b.place} & self._known:
             number, other = (a, b) if a.place in self._known else (b, a)
             moving, still = self._parts(other)
             if still is not None:
@@ -185,66 +160,15 @@ class Recorder:
 
     def _joined(self, operation: int, a: _Value | None, b: _Value | None) -> _Value | None:
         if a is None or b is None:
-            return a if b is None else b if operation == ADD else -b
+            return a if b is None else b if operation == operations.ADD else -b
         return self.add_step(operation, a, b)
-
-    def root(self, x: _Value) -> _Value:
-        return self.add_step(MULTIPLY, x, self.add_step(RECIPROCAL_ROOT, x))
-
-    def logarithm(self, x: _Value) -> _Value:
-        return self.add_step(LOGARITHM, x, self.add_step(RECIPROCAL, x))
-
-    def tangent(self, x: _Value) -> _Value:
-        sine, cosine = self.sine_cosine(x)
-        return self.add_step(MULTIPLY, sine, self.add_step(RECIPROCAL, cosine))
-
-    def arctangent(self, x: _Value) -> _Value:
-        slope = self.add_step(RECIPROCAL, self.one_and(self.square(x)))
-        return self.add_step(ARCTANGENT, x, slope)
-
-    def arcsine(self, x: _Value) -> _Value:
-        slope = self.add_step(RECIPROCAL_ROOT, self.one_and(self.square(x), SUBTRACT))
-        return self.add_step(ARCSINE, x, slope)
-
-    def arccosine(self, x: _Value) -> _Value:
-        slope = self.add_step(RECIPROCAL_ROOT, self.one_and(self.square(x), SUBTRACT))
-        return self.add_step(ARCCOSINE, x, self.add_step(NEGATE, slope))
-
-    def hyperbolic(self, x: _Value, operation: int) -> _Value:
-        growth = self.add_step(EXPONENTIAL, x)
-        both = self.add_step(operation, growth, self.add_step(RECIPROCAL, growth))
-        return self.add_step(MULTIPLY, arb("0.5"), both)
-
-    def hyperbolic_tangent(self, x: _Value) -> _Value:
-        growth = self.add_step(EXPONENTIAL, self.add_step(ADD, x, x))
-        rest = self.add_step(MULTIPLY, arb(2), self.add_step(RECIPROCAL, self.one_and(growth)))
-        return self.one_and(rest, SUBTRACT)
-
-    def arsinh(self, x: _Value) -> _Value:
-        return self.add_step(
-            ARSINH, x, self.add_step(RECIPROCAL_ROOT, self.one_and(self.square(x)))
-        )
-
-    def arcosh(self, x: _Value) -> _Value:
-        product = self.add_step(MULTIPLY, self.add_step(SUBTRACT, x, arb(1)), self.one_and(x))
-        return self.add_step(ARCOSH, x, self.add_step(RECIPROCAL_ROOT, product))
-
-    def artanh(self, x: _Value) -> _Value:
-        product = self.add_step(MULTIPLY, self.one_and(x, SUBTRACT), self.one_and(x))
-        return self.add_step(ARTANH, x, self.add_step(RECIPROCAL, product))
-
-    def error_function(self, x: _Value) -> _Value:
-        bell = self.add_step(EXPONENTIAL, self.add_step(NEGATE, self.square(x)))
-        with working(BITS):
-            factor = 2 / arb.pi().sqrt()
-        return self.add_step(ERROR_FUNCTION, x, self.add_step(MULTIPLY, factor, bell))
 
     def angle(self, y: Any, x: Any) -> _Value:
         """2 atan(y / (r + x)), the same angle away from the negative half of the x axis."""
-        squares = self.add_step(ADD, self.apply(operator.mul, x, x), self.apply(operator.mul, y, y))
-        below = self.add_step(ADD, self.root(squares), x)
-        half = self.arctangent(self.add_step(MULTIPLY, y, self.add_step(RECIPROCAL, below)))
-        return self.add_step(ADD, half, half)
+        squares = self.apply(operator.mul, x, x) + self.apply(operator.mul, y, y)
+        below = squares * _reciprocal_root(squares) + x
+        half = self.apply(functions.FUNCTIONS["atan"], y * _reciprocal(below))
+        return half + half
 
     def power(self, base: Any, exponent: Any) -> Any:
         logarithm = self.apply(functions.logarithm, base)
@@ -270,33 +194,73 @@ class _Value:
     __neg__ = _recorded(operator.neg)
 
 
+def _reciprocal(x: _Value) -> _Value:
+    return x.recorder.add_step(operations.RECIPROCAL, x)
+
+
+def _reciprocal_root(x: _Value) -> _Value:
+    return x.recorder.add_step(operations.RECIPROCAL_ROOT, x)
+
+
+def _exponential(x: _Value) -> _Value:
+    return x.recorder.add_step(operations.EXPONENTIAL, x)
+
+
+def _tangent(recorder: Recorder, x: _Value) -> _Value:
+    sine, cosine = recorder.sine_cosine(x)
+    return sine * _reciprocal(cosine)
+
+
+def _hyperbolic(add: Callable[..., Any]) -> Callable[..., Any]:
+    """The rule of cosh or sinh, half the sum or the difference of two exponentials."""
+
+    def rule(_: Recorder, x: _Value) -> _Value:
+        growth = _exponential(x)
+        return 0.5 * add(growth, _reciprocal(growth))
+
+    return rule
+
+
+def _bell(x: _Value) -> _Value:
+    with working(BITS):
+        return 2 / arb.pi().sqrt() * _exponential(-(x * x))
+
+
+def _integral(operation: int, slope: Callable[[_Value], _Value]) -> Callable[..., Any]:
+    """The rule of a function whose operation also takes its derivative."""
+    return lambda recorder, x: recorder.add_step(operation, x, slope(x))
+
+
 _OPERATORS: dict[Any, int] = {
-    operator.add: ADD,
-    operator.sub: SUBTRACT,
-    operator.mul: MULTIPLY,
-    operator.neg: NEGATE,
-    functions.reciprocal: RECIPROCAL,
-    functions.reciprocal_root: RECIPROCAL_ROOT,
-    functions.FUNCTIONS["exp"]: EXPONENTIAL,
+    operator.add: operations.ADD,
+    operator.sub: operations.SUBTRACT,
+    operator.mul: operations.MULTIPLY,
+    operator.neg: operations.NEGATE,
+    functions.reciprocal: operations.RECIPROCAL,
+    functions.reciprocal_root: operations.RECIPROCAL_ROOT,
+    functions.FUNCTIONS["exp"]: operations.EXPONENTIAL,
+}
+_INTEGRALS: dict[str, tuple[int, Callable[[_Value], _Value]]] = {
+    "log": (operations.LOGARITHM, _reciprocal),
+    "atan": (operations.ARCTANGENT, lambda x: _reciprocal(1 + x * x)),
+    "asin": (operations.ARCSINE, lambda x: _reciprocal_root(1 - x * x)),
+    "acos": (operations.ARCCOSINE, lambda x: -_reciprocal_root(1 - x * x)),
+    "asinh": (operations.ARSINH, lambda x: _reciprocal_root(1 + x * x)),
+    "acosh": (operations.ARCOSH, lambda x: _reciprocal_root((x - 1) * (1 + x))),
+    "atanh": (operations.ARTANH, lambda x: _reciprocal((1 - x) * (1 + x))),
+    "erf": (operations.ERROR_FUNCTION, _bell),
 }
 _RULES: dict[Any, Callable[..., Any]] = {
-    functions.root: Recorder.root,
+    functions.root: lambda _, x: x * _reciprocal_root(x),
     functions.general_power: Recorder.power,
-    functions.FUNCTIONS["log"]: Recorder.logarithm,
     functions.FUNCTIONS["sin"]: lambda recorder, x: recorder.sine_cosine(x)[0],
     functions.FUNCTIONS["cos"]: lambda recorder, x: recorder.sine_cosine(x)[1],
-    functions.FUNCTIONS["tan"]: Recorder.tangent,
-    functions.FUNCTIONS["atan"]: Recorder.arctangent,
-    functions.FUNCTIONS["asin"]: Recorder.arcsine,
-    functions.FUNCTIONS["acos"]: Recorder.arccosine,
-    functions.FUNCTIONS["sinh"]: lambda recorder, x: recorder.hyperbolic(x, SUBTRACT),
-    functions.FUNCTIONS["cosh"]: lambda recorder, x: recorder.hyperbolic(x, ADD),
-    functions.FUNCTIONS["tanh"]: Recorder.hyperbolic_tangent,
-    functions.FUNCTIONS["asinh"]: Recorder.arsinh,
-    functions.FUNCTIONS["acosh"]: Recorder.arcosh,
-    functions.FUNCTIONS["atanh"]: Recorder.artanh,
-    functions.FUNCTIONS["erf"]: Recorder.error_function,
+    functions.FUNCTIONS["tan"]: _tangent,
+    functions.FUNCTIONS["sinh"]: _hyperbolic(operator.sub),
+    functions.FUNCTIONS["cosh"]: _hyperbolic(operator.add),
+    functions.FUNCTIONS["tanh"]: lambda _, x: 1 - 2 * _reciprocal(1 + _exponential(x + x)),
     functions.FUNCTIONS["atan2"]: Recorder.angle,
+    **{functions.FUNCTIONS[name]: _integral(*rule) for name, rule in _INTEGRALS.items()},
 }
 
 

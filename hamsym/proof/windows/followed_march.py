@@ -45,22 +45,20 @@ class Followed:
     radius: np.ndarray
 
 
-class _Prepared:
+def _prepared(program: Program, terms: int) -> Prepared:
     """A program with its models and values at points."""
-
-    def __init__(self, program: Program, terms: int) -> None:
-        self.models, points = ModelRows(program, terms), chebyshev_tables(_TERMS).points
-        self.record = Prepared(
-            self.models.models,
-            np.ascontiguousarray(chebyshev_values(points, terms).T),
-            np.repeat(self.models.high[:, :1], _TERMS, axis=1),
-            step=program.steps,
-            still_step=program.still,
-            constant=program.constants,
-            place=program.still_places,
-            result=program.results,
-            number=program.numbers,
-        )
+    rows, points = ModelRows(program, terms), chebyshev_tables(_TERMS).points
+    return Prepared(
+        rows.models,
+        np.ascontiguousarray(chebyshev_values(points, terms).T),
+        np.repeat(rows.high[:, :1], _TERMS, axis=1),
+        step=program.steps,
+        still_step=program.still,
+        constant=program.constants,
+        place=program.still_places,
+        result=program.results,
+        number=program.numbers,
+    )
 
 
 def follow(equation: Equation, trial: FeatureTrial, count: int) -> Iterator[Followed]:
@@ -89,11 +87,12 @@ def follow(equation: Equation, trial: FeatureTrial, count: int) -> Iterator[Foll
 
 def march_proof(equation: Equation, trial: FeatureTrial) -> MarchProof:
     """The proof of a march before its first window."""
-    rates, jacobian = _Prepared(equation.rates, _TERMS), _Prepared(equation.jacobian, _FEWER)
     direction = 1.0 if trial.edges[-1] > trial.edges[0] else -1.0
     return MarchProof(
-        [part.record for part in (rates, jacobian, _Prepared(equation.energy, _FEWER))],
-        entries=equation.entries,
+        rates=_prepared(equation.rates, _TERMS),
+        jacobian=_prepared(equation.jacobian, _FEWER),
+        energy=_prepared(equation.energy, _FEWER),
+        entry=equation.entries,
         placed=equation.placed,
         signs=equation.signs * direction,
         integral=chebyshev_tables(_TERMS).integral,

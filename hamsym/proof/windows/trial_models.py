@@ -258,7 +258,7 @@ def _activations(activation: str, count: int) -> Program:
         if activation == "sin":
             value, slope = recorder.sine_cosine(a)
         elif activation == "tanh":
-            value = recorder.hyperbolic_tangent(a)
+            value = recorder.apply(functions.FUNCTIONS["tanh"], a)
             slope = arb(1) - value * value
         elif activation == "sigmoid":
             growth = recorder.apply(functions.FUNCTIONS["exp"], -a)
