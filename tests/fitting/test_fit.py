@@ -277,10 +277,12 @@ def test_models_that_do_not_fit_are_refused(swing: np.ndarray) -> None:
 
 @pytest.mark.slow
 def test_sigma_near_the_errors_of_the_motion_is_refused(swing: np.ndarray) -> None:
-    found = fit_pendulum({"theta": swing[:, 0]}, sigma=1e-6, tol=1e-3)
+    H = Hamiltonian(PENDULUM, parameters={"m": 1, "l": 1, "g": 1.6})
+    angles = hamsym.solve(H, [0.9, 0.1], (0, 20), tol=1e-12)(T)[:, 0] + noise(1e-10)
+    found = fit_pendulum({"theta": angles}, sigma=1e-10, tol=1e-3)
     assert not found.success
     assert "give a smaller tol" in found.message
-    assert fit_pendulum({"theta": swing[:, 0]}, sigma=1e-6).success
+    assert fit_pendulum({"theta": angles}, sigma=1e-10, tol=1e-11).success
     exact = fit_pendulum({"theta": swing[:, 0]}, sigma=None)
     assert not exact.success
     assert "sigma cannot be estimated" in exact.message
