@@ -35,7 +35,22 @@ def blas_on_one_core() -> AbstractContextManager[None]:
 
 
 def _limit() -> Callable[[], None]:
-    return _libraries().limit(limits=1, user_api="blas").restore_original_limits
+    _release()
+    limit = _libraries().limit(limits=1, user_api="blas")
+
+    def end() -> None:
+        _release()  # another thread may have begun
+        limit.restore_original_limits()
+        _release()
+
+    return end
+
+
+def _release() -> None:
+    """Let any thread set the limit; since threadpoolctl 3.8 the first that did so keeps it."""
+    for library in _libraries().lib_controllers:
+        if hasattr(library, "clear_controlling_thread"):
+            library.clear_controlling_thread(force=True)
 
 
 @functools.cache
