@@ -47,7 +47,7 @@ _MOST_INPUTS = 6
 # Radius, relative to the component and to the widest, from which a ball is an input.
 _THIN = 1e-6
 # Radii that a step may add over the whole span, relative to the extent of a part.
-_SHARE = 1e-3
+_SHARE = 3e-4
 # The same where the radii of all later steps together are too large, so that parts are halved.
 _MOST_ADDED = 0.2
 # Terms in x that a step may leave out, relative to what it may add.
