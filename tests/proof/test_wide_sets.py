@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -128,10 +129,7 @@ def support(errors, column, part, direction):
     return edges @ errors.radii[:, column, part] + np.abs(direction) @ model_radii
 
 
-@pytest.mark.parametrize("edges", [6, 7])  # a new frame, or more columns
-def test_turned_columns_contain_the_columns_before(edges, monkeypatch):
-    monkeypatch.setattr(carried_errors, "_MOST_EDGES", edges)
-    rng = np.random.default_rng(7)
+def some_errors(rng):
     H, space, parts = Hamiltonian(PENDULUM), space_of(2, 4, 3), 3
     stepper = Stepper(Flow(H, []), space)
 
@@ -141,13 +139,37 @@ def test_turned_columns_contain_the_columns_before(edges, monkeypatch):
 
     matrices = [[[models(1.0) for _ in range(2)] for _ in range(2)] for _ in range(2)]
     frame = rng.normal(size=(2, 5, parts)) * [[[1.0]], [[1e-3]]]
-    before = CarriedErrors(
+    return CarriedErrors(
         stepper, ParameterSlopes(H, []), [[models(1e-2), models(1e-4)] for _ in range(3)],
         frame, rng.random((5, 3, parts)), *matrices, np.ones((2, 3, parts)),
     )  # fmt: skip
+
+
+def middles(errors):
+    """M at the middle of each part, shape (2, 2, 3)."""
+    return np.array([[model.coefficients[0] for model in row] for row in errors.fundamental])
+
+
+def test_rounding_of_turned_edges_is_counted():
+    before = some_errors(np.random.default_rng(8))
+    after, C = before.turned(), middles(before)
+    for column, i, part in np.ndindex(3, 2, 3):
+        lost = Fraction(0)
+        for k in range(5):
+            terms = (Fraction(C[i, j, part]) * Fraction(before.frame[j, k, part]) for j in range(2))
+            off = abs(sum(terms) - Fraction(after.frame[i, k, part]))
+            lost += off * Fraction(before.radii[k, column, part])
+        assert 0 < lost <= Fraction(after.columns[column][i].radius[part])
+
+
+@pytest.mark.parametrize("edges", [6, 7])  # a new frame, or more columns
+def test_turned_columns_contain_the_columns_before(edges, monkeypatch):
+    monkeypatch.setattr(carried_errors, "_MOST_EDGES", edges)
+    rng, parts = np.random.default_rng(7), 3
+    before = some_errors(rng)
     after = before.turned()
     assert after.frame.shape[1] == (7 if edges == 7 else 2)
-    C = np.array([[m.coefficients[0] for m in row] for row in before.fundamental])
+    C = middles(before)
     for column, part in np.ndindex(3, parts):
         old, new = (
             np.array([model.coefficients[:, part] for model in errors.columns[column]])
