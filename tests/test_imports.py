@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-_HEAVY = ("matplotlib", "numba", "scipy", "sympy", "torch")
+_HEAVY = ("matplotlib", "numba", "scipy", "scipy.special", "sympy", "torch")
 
 # What a user does, in an order in which each step needs more than those before it, and the packages
 # that must not be there after it.
@@ -28,16 +28,16 @@ _STEPS = {
     ),
     "bad tolerance": (
         "assert run('solve', 'p**2/2 + x**2/2', '--z0', '1,0', '--t-end', '1', '--tol', '0') == 2",
-        ("matplotlib", "numba", "torch"),
+        ("matplotlib", "numba", "scipy.special", "torch"),
     ),
     "solve": (
         "solution = hamsym.solve(H, [1.3, 1.0], (0, 3), tol=1e-6); assert solution.success;"
         "solution(1.0); solution.error_estimate(1.0); solution.energy(1.0)",
-        ("matplotlib", "numba", "torch"),
+        ("matplotlib", "numba", "scipy.special", "torch"),
     ),
     "save and load": (
         "solution.save('a.hamsym'); solution = hamsym.load('a.hamsym')",
-        ("matplotlib", "numba", "torch"),
+        ("matplotlib", "numba", "scipy.special", "torch"),
     ),
     "certify": (
         "hamsym.verify(hamsym.certify(solution), solution)",

@@ -29,8 +29,8 @@ enum mark { UNRESOLVED = 1, EXCESSIVE = 2, BENT = 4, UNBOUNDED = 8 };
 #define SLACK 10.0      /* times the residual that the march allows at its own places */
 
 /* Nodes of the tangent equation: with `drift`, the integral of values at the places, without what it has beyond the
-   degree of the nodes, and `beyond`, that at the places; `lift`, the interpolation to the places; `last`, the last two coefficients of a series in two
-   of eight columns. */
+   degree of the nodes, and `beyond`, that at the places; `lift`, the interpolation to the places; `last`, the last two
+   coefficients of a series in two of eight columns. */
 typedef struct {
   int64_t nodes;
   const double *node, *at_nodes, *drift, *beyond, *integration, *twice, *lift, *end, *last;

@@ -16,7 +16,7 @@ from typing import Any
 
 import mpmath
 import numpy as np
-import scipy.special
+import scipy
 
 _SPLIT = 2.0**27 + 1  # divides 53 bits into halves (Veltkamp 1968)
 

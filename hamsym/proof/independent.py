@@ -42,19 +42,28 @@ def refusals() -> Iterator[None]:
         raise CertificationError(f"the certificate does not hold: {error}") from None
 
 
+def _check(
+    checker: Callable[..., None],
+    given: Sequence[Any],
+    claims: Certificate | hamsym.OrbitCertificate | BoxCertificate,
+    check_time: Callable[[str], None],
+) -> None:
+    """Run a checker on a result and the claims of its certificate."""
+    with refusals():
+        checker(
+            *given,
+            json.loads(claims.to_json()),
+            lambda: check_time("the independent checker ran"),
+        )
+
+
 def verify_solution(
     claims: Certificate, solution: Solution, check_time: Callable[[str], None]
 ) -> None:
     """Prove a certificate of a solution again by the independent checker."""
-    with refusals():
-        check_solution(
-            described(solution.H),
-            solution.z0.tolist(),
-            [float(time) for time in solution.span],
-            _trial_data(solution),
-            json.loads(claims.to_json()),
-            lambda: check_time("the independent checker ran"),
-        )
+    span = [float(time) for time in solution.span]
+    given = described(solution.H), solution.z0.tolist(), span, _trial_data(solution)
+    _check(check_solution, given, claims, check_time)
 
 
 def verify_orbit(
@@ -62,13 +71,7 @@ def verify_orbit(
 ) -> None:
     """Prove a certificate of a periodic orbit again, but not that no other one is near."""
     claims.require_form(orbit)
-    with refusals():
-        check_orbit(
-            described(orbit.H),
-            _orbit_data(orbit),
-            json.loads(claims.to_json()),
-            lambda: check_time("the independent checker ran"),
-        )
+    _check(check_orbit, (described(orbit.H), _orbit_data(orbit)), claims, check_time)
 
 
 def _orbit_data(orbit: hamsym.PeriodicOrbit) -> dict[str, Any]:
@@ -97,13 +100,7 @@ def verify_flow_map(
     claims: BoxCertificate, flow: FlowMap, check_time: Callable[[str], None]
 ) -> None:
     """Prove a certificate of a flow map again by the independent checker."""
-    with refusals():
-        check_flow_map(
-            described(flow.H),
-            _flow_data(flow),
-            json.loads(claims.to_json()),
-            lambda: check_time("the independent checker ran"),
-        )
+    _check(check_flow_map, (described(flow.H), _flow_data(flow)), claims, check_time)
 
 
 def _flow_data(flow: FlowMap) -> dict[str, Any]:
