@@ -7,6 +7,7 @@ import numpy as np
 #: Smallest size of a component, as a share of its coupled size: smaller values cannot be
 #: distinguished from the round-off of the terms in its own equation.
 SMALLEST = 1e-8
+_AT_ONCE = 8  # steps between couplings before it is asked whether sizes still change
 
 
 def ratios(errors: np.ndarray, limits: np.ndarray) -> np.ndarray:
@@ -56,11 +57,14 @@ def coupling_shares(coupling: np.ndarray, time: float) -> np.ndarray:
 
 def shared_sizes(sizes: np.ndarray, shares: np.ndarray) -> np.ndarray:
     """Compute the sizes of :func:`coupled_sizes` from its tau |A|."""
-    found = sizes
-    for _ in range(len(sizes) if shares.any() else 0):
-        before, found = found, np.maximum(found, shares @ found)
+    found, rest = sizes, len(sizes) if shares.any() else 0
+    while rest > 0:
+        before = found
+        for _ in range(min(rest, _AT_ONCE)):
+            found = np.maximum(found, shares @ found)
         if (found == before).all():
             break
+        rest -= _AT_ONCE
     return found
 
 

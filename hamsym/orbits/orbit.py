@@ -72,7 +72,8 @@ class PeriodicOrbit(Drawn, Saved):
     is_isolated : bool
         Whether the orbit is the only one near it with its energy or period and its symmetry, up to
         the motions that the integrals of H generate, as rotations. If not, H has more integrals
-        than :meth:`hamsym.Hamiltonian.invariants` finds, or the orbit is at a bifurcation.
+        than :meth:`hamsym.Hamiltonian.invariants` finds, or the orbit is at a bifurcation, or as
+        near one as float64 shows.
     repetitions : int
         Number of times that the orbit is run through in its period.
     multiplier_error : float
@@ -420,7 +421,10 @@ def solved_orbit(
     count = len(found.arc.edges) - 1
     message = failure or f"{count} windows, estimated error {error:.1e}{elapsed}"
     if not failure and not orbit.is_isolated:
-        message += "; not isolated: H has more conserved quantities, or this is a bifurcation"
+        message += (
+            "; not isolated, as far as float64 shows: H has more conserved quantities, or a "
+            "bifurcation is near"
+        )
     repetitions = 1 if failure else _repetitions(problem, finer, tol)
     if repetitions > 1 and problem.period is None and reduce:
         once = solved_orbit(problem, _first_part(finer, repetitions), tol, began, reduce=False)

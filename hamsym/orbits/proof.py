@@ -105,10 +105,10 @@ class _Proof:
                         failure = error
                         if not self._orbit.is_isolated:
                             raise CertificationError(
-                                "the orbit is not isolated, up to the motions that the integrals "
-                                "of H generate: H has more integrals than those that are found, or "
-                                "the orbit is at a bifurcation; give a symmetry that leaves one "
-                                "orbit"
+                                f"{error}; as far as float64 shows the orbit is not isolated, up "
+                                "to the motions that the integrals of H generate: H has more "
+                                "integrals than those that are found, or a bifurcation is near; "
+                                "give a symmetry that leaves one orbit"
                             ) from error
             except SingularityError as error:
                 raise CertificationError(f"H is not smooth along the orbit: {error}") from None
@@ -137,26 +137,32 @@ class _Proof:
                 break
             system.correct(correction)
             gaps, correction = self._gaps(C)
-        radii, least = np.maximum(2 * gaps, 1e-15 * units), math.inf
-        for _ in range(_TRIES):
-            found = system.enclosed(radii, True)
-            image = self._image(C, gaps, found, radii)
-            if (image < radii).all():
-                break
-            share = float((image / radii).max())
-            if not share < least:
-                break
-            radii, least = np.maximum(2 * image, radii), share
-        if not (image < radii).all():
-            raise CertificationError(
-                "no ball around the numerical orbit is mapped into itself; the orbit may be too "
-                "unstable, or near a bifurcation"
-            )
+        found, radii, image = self._mapped_into_itself(C, gaps)
         system.require_closed(found, radii)
         system.require_motion(radii)
         check_orbit(self._orbit, system.edges[:-1], system.numerical)
         unique = self._unique(C, gaps, radii, image)
         return self._stated(found, np.minimum(image, radii), unique)
+
+    def _mapped_into_itself(
+        self, C: np.ndarray, gaps: np.ndarray
+    ) -> tuple[Enclosed, np.ndarray, np.ndarray]:
+        """What is enclosed over a ball X with K(X) inside X, and the radii of X and of K(X)."""
+        system = self._system
+        radii, least = np.maximum(2 * gaps, 1e-15 * system.units), math.inf
+        for _ in range(_TRIES):
+            found = system.enclosed(radii, True)
+            image = self._image(C, gaps, found, radii)
+            if (image < radii).all():
+                return found, radii, image
+            share = float((image / radii).max())
+            if not share < least:
+                break
+            radii, least = np.maximum(2 * image, radii), share
+        raise CertificationError(
+            "no ball around the numerical orbit is mapped into itself; the orbit may be too "
+            "unstable, or near a bifurcation"
+        )
 
     def _gaps(self, C: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Bounds on |C f(x)|, and Newton's correction."""

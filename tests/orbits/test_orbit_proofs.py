@@ -29,6 +29,7 @@ from tests.orbits.test_periodic_orbit import (
 
 flint = pytest.importorskip("flint")
 
+from hamsym.orbits import proof  # noqa: E402
 from hamsym.orbits.period import in_units_of_the_arc  # noqa: E402
 from hamsym.orbits.square_system import SquareSystem  # noqa: E402
 
@@ -362,6 +363,26 @@ def test_orbit_of_the_kepler_problem_is_refused():
     assert orbit.success
     with pytest.raises(CertificationError, match="not isolated"):
         orbit.certify()
+
+
+def test_balls_that_are_never_mapped_into_themselves_are_refused(monkeypatch):
+    # each try comes closer, and none succeeds: the radii after the last one were not tried
+    orbit = hamsym.periodic_orbit(DUFFING, [1.0, 0.0])
+    shares = iter([1.9, 1.8, 1.7, 1.6, 1.5, 1.4] * 2)
+    monkeypatch.setattr(proof._Proof, "_image", lambda *given: next(shares) * given[-1])
+    with pytest.raises(CertificationError, match="mapped into itself"):
+        orbit.certify()
+
+
+def test_planar_orbit_in_space_is_proven_unstable():
+    """Errors across the plane, of tiny balls around zero, leave those within it as they are."""
+    guess = {"x": 0.8319, "y": 0, "z": 0, "p_x": 0, "p_y": 0.8738, "p_z": 0}
+    mirror = {"y": "-y", "p_x": "-p_x", "p_z": "-p_z"}
+    H = hamsym.systems.halo_orbits().H
+    orbit = hamsym.periodic_orbit(H, (guess, 2.7), symmetry=mirror)
+    certificate = orbit.certify()
+    assert certificate.bound < 1e-13 < certificate.unique_within
+    assert certificate.stability == "unstable"
 
 
 def test_equilibrium_claimed_as_an_orbit_is_refused():

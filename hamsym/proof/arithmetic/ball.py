@@ -40,6 +40,9 @@ class Ball:
     radius: Any
 
     def __post_init__(self) -> None:
+        floats = type(self.mid) is type(self.radius) is float
+        if floats and math.isfinite(self.mid) and self.radius >= 0:
+            return
         if _is_scalar(self.mid) and _is_scalar(self.radius):
             exact, radius = _exact(self.mid), _radius(self.radius)
             nearest, bound = _nearest(exact, Fraction(radius) if math.isfinite(radius) else None)
@@ -74,6 +77,8 @@ class Ball:
             if np.ndim(value.mid):
                 raise InputError("a Ball of one number is expected here, not of an array")
             return value
+        if type(value) is float and math.isfinite(value):
+            return Ball(value, 0.0)
         if isinstance(value, str):
             return _of_text(value)
         if isinstance(value, (tuple, list)) and len(value) == 2:

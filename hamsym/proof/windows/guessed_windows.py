@@ -29,7 +29,7 @@ _ITERATIONS = 80
 # Most linear corrections of y: each gains about ten digits, of thirty-two.
 _CORRECTIONS = 3
 # Size of a component beside the radius of a ball around zero.
-_BESIDE = 100.0
+_BESIDE = 1e8
 # Least size of a component: radii have the root of 1e-290 as a floor.
 _LEAST = 1e-130
 # Root of the product q p of a pair at rest, relative to the others: errors of the derivatives of
