@@ -12,8 +12,6 @@ from hamsym.facts.wording import (
     counted,
     error_text,
     facts_of,
-    formulas_of,
-    problem_facts,
     silent,
     time_fact,
     units_of,
@@ -58,20 +56,14 @@ def _manifolds(found: Manifolds) -> Facts:
         Column("rates", [_rates(part)[1] for part in parts]),
         Column("local error", [part.local_error for part in parts], ".1e"),
     )
-    return Facts(
-        "Manifolds",
-        f"stable and unstable manifold, local errors {error_text(found.unstable.local_error)} and "
-        f"{error_text(found.stable.local_error)}",
-        found.message,
-        found.success,
-        "grown" if found.success else "incomplete",
-        formulas_of(found.H),
-        problem_facts(found.H),
-        (
-            Table("manifolds", ["unstable", "stable"], columns, "manifold"),
-            time_fact(found.seconds),
-        ),
-        _POINTS * (len(found.unstable) + len(found.stable)),
+    errors = [error_text(part.local_error) for part in parts]
+    return facts_of(
+        found,
+        f"stable and unstable manifold, local errors {errors[0]} and {errors[1]}",
+        Table("manifolds", ["unstable", "stable"], columns, "manifold"),
+        time_fact(found.seconds),
+        verdict="grown" if found.success else "incomplete",
+        drawn=_POINTS * sum(map(len, parts)),
     )
 
 
@@ -97,21 +89,13 @@ def _connections(found: Connections) -> Facts:
         Column(name, [float(one.z[k]) for one in found], ".10g")
         for k, name in enumerate(found.H.names)
     ]
-    return Facts(
-        "Connections",
+    return facts_of(
+        found,
         f"{counted(len(found), 'connection')} on {found.surface}",
-        found.message,
-        found.success,
-        "found" if found.success else "none",
-        formulas_of(found.H),
-        (
-            *problem_facts(found.H),
-            Fact("surface", "section", found.surface, found.surface),
-        ),
-        (
-            Table("connections", [str(k) for k in range(len(found))], tuple(columns), "number"),
-            *silent(found, "success"),
-            time_fact(found.seconds),
-        ),
-        10 * (len(found.cuts[0].t) + len(found.cuts[1].t)),
+        Table("connections", [str(k) for k in range(len(found))], tuple(columns), "number"),
+        *silent(found, "success"),
+        time_fact(found.seconds),
+        given=[Fact("surface", "section", found.surface, found.surface)],
+        verdict="found" if found.success else "none",
+        drawn=10 * (len(found.cuts[0].t) + len(found.cuts[1].t)),
     )

@@ -134,7 +134,8 @@ def given_of(result: Any, varied: Any = ()) -> tuple[Fact, ...]:
     """
     H, ranges = result.H, varied if isinstance(varied, Mapping) else {}
     facts = [*problem_facts(H, tuple(varied)), *ranges_facts(ranges)]
-    facts.append(span_fact(result.span, H.units.get("t", "")))
+    if span := getattr(result, "span", None):
+        facts.append(span_fact(span, H.units.get("t", "")))
     if method := getattr(result, "method", ""):
         facts.append(Fact("method", "method", method, method))
     if tol := getattr(result, "tol", None):
@@ -147,7 +148,7 @@ def given_of(result: Any, varied: Any = ()) -> tuple[Fact, ...]:
 def facts_of(
     result: Any, headline: str, *entries: Entry, varied: Any = (), given: Any = (), **others: Any
 ) -> Facts:
-    """Describe a result that has H, a span, success and a message.
+    """Describe a result that has H, success and a message, and perhaps a span.
 
     - varied, given: As of :func:`given_of`, and what else was asked.
     - others: Further fields of the facts, or others for these.

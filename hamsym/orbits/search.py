@@ -35,8 +35,8 @@ _CONVERGED = 1e-12  # size of a correction; later ones are round-off
 # halved for twice: they may be round-off of a component.
 _TAIL, _SMALL_TAIL, _SMALL_ROUNDS = 1e-13, 1e-14, 2
 _REFINEMENTS = 12
-_MOST_WINDOWS = 10_000
-_MOST_ENTRIES = 50_000_000  # of the derivatives at the points of all windows
+_MOST_WINDOWS = 20_000
+_MOST_ENTRIES = 100_000_000  # of the derivatives at the points of all windows
 _LOCAL, _MARCH_NODES = 1e-13, 16  # local tolerance of a march along a guess, and its points
 _IN_A_WINDOW = 1_000  # windows of a march in one of an arc, at most
 _SHOTS = 3  # corrections of the start before the search
