@@ -16,7 +16,8 @@ import numpy as np
 import scipy
 from scipy.linalg import lapack
 
-_SINGULAR = 1e-11  # reciprocal condition number of a system without a unique solution
+#: Reciprocal condition number of a system without a unique solution, up to round-off.
+SINGULAR = 1e-11
 _RANK = 1e-8  # singular values relative to the largest that count as zero
 
 
@@ -82,18 +83,21 @@ class CondensedWindows:
         return np.array(found[::-1])
 
 
-def solved(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, bool]:
-    """Solve a system, by least squares of least norm where it is singular, and say whether it is.
+def solved(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, float]:
+    """Solve a system, by least squares of least norm where it is singular.
 
-    One with an equation less than unknowns counts as singular if its equations are dependent.
+    - returns: The solution, and the reciprocal condition number of the matrix; of one with an
+      equation less than unknowns 1, or 0 if its equations are dependent.
     """
     if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
-        return np.full(matrix.shape[1], math.nan), True
+        return np.full(matrix.shape[1], math.nan), 0.0
     rows, columns = matrix.shape
+    condition = 0.0
     if rows == columns:
         factor, pivots, info = lapack.dgetrf(matrix)
-        rcond, _ = lapack.dgecon(factor, np.abs(matrix).sum(axis=0).max())
-        if info == 0 and rcond > _SINGULAR:
-            return np.asarray(lapack.dgetrs(factor, pivots, right)[0]), False
+        if info == 0:
+            condition = float(lapack.dgecon(factor, np.abs(matrix).sum(axis=0).max())[0])
+        if condition > SINGULAR:
+            return np.asarray(lapack.dgetrs(factor, pivots, right)[0]), condition
     solution, _, rank, _ = scipy.linalg.lstsq(matrix, right, cond=_RANK, lapack_driver="gelsy")
-    return solution, rows >= columns or rank < rows
+    return solution, float(rank == rows) if rows < columns else condition

@@ -38,8 +38,8 @@ class Step:
     #: residual, size: Largest residual and correction, relative to the scales.
     residual: float
     size: float
-    #: Whether the system has no unique solution.
-    singular: bool
+    #: Reciprocal condition number of the system.
+    condition: float
     #: Derivatives of the windows' flows, shape (k, dim, dim).
     maps: np.ndarray
 
@@ -160,12 +160,12 @@ class NewtonSystem:
         - across: A direction of all scaled unknowns, to which the correction is orthogonal: the one
           more equation of a family.
         """
-        solution, singular = solved(self._matrix, self._small_right)
+        solution, condition = solved(self._matrix, self._small_right)
         whole = self._whole(solution)
         if across is not None and np.isfinite(whole).all():
             along, count = self._null_vector(), len(across)
             whole = whole - (across @ whole[:count]) / (across @ along[:count]) * along
-        return self._step(whole, singular)
+        return self._step(whole, condition)
 
     def direction(self, before: np.ndarray | None) -> np.ndarray:
         """Return the unit vector along the family, in the sense of a direction before.
@@ -220,7 +220,7 @@ class NewtonSystem:
         states = self._condensed.states(small, homogeneous=homogeneous)
         return np.concatenate([states.ravel(), small[2 * self._dim :]])
 
-    def _step(self, whole: np.ndarray, singular: bool) -> Step:
+    def _step(self, whole: np.ndarray, condition: float) -> Step:
         windows, dim, count = self._windows, self._dim, self._arc.ends.size
         size = float(np.abs(whole[: len(self.units)]).max())
         numbers = whole[count:] * self._number_units
@@ -236,7 +236,7 @@ class NewtonSystem:
             float(numbers[1]),
             self._residual,
             max(size, float((np.abs(values) / self.scale).max())),
-            singular,
+            condition,
             windows.ends[..., :dim],
         )
 

@@ -18,6 +18,7 @@ from hamsym.numerics.collocation import collocation
 from hamsym.numerics.scales import floored_sizes
 from hamsym.numerics.symplectic import symplectic_inverse
 from hamsym.orbits.arc import Arc, Problem, vector_field_at
+from hamsym.orbits.condensed import SINGULAR
 from hamsym.orbits.integrals import integrals_of
 from hamsym.orbits.multipliers import (
     differ_from_one,
@@ -43,6 +44,8 @@ if TYPE_CHECKING:
 
 _REPETITIONS = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31)
 _SAME = 1e-6  # distance of states that are the same, relative to the motion
+# Reciprocal condition numbers that are more than round-off, and a ratio of two that are the same.
+_ROUND_OFF, _ALIKE = 1e-13, 1.5
 _POINTS = 400  # of an arc, for its extent
 _LARGE = 1e3  # multiplier whose inverse is more accurate than the computed one
 
@@ -402,16 +405,21 @@ def solved_orbit(
     finer = finer.rounded()
     if problem.closing.first is not None:  # exactly in its fixed set, for signed zeros too
         finer.ends[0] = (finer.ends[0] + problem.closing.first(finer.ends[0])) / 2 + 0.0
-    orbit = PeriodicOrbit(problem, finer, False, "", error, not step.singular, 1, step.maps)
+    isolated = step.condition > SINGULAR
+    orbit = PeriodicOrbit(problem, finer, False, "", error, isolated, 1, step.maps)
     coarser = replace(orbit, _maps=found.step.maps)
     with np.errstate(all="ignore"):
         spread = multiplier_error(
             orbit._reduced, coarser._reduced, conservative=not problem.H.forces
         )
-    if step.singular and problem.period is None and len(integrals_of(problem.H)) <= 1:
-        # Newton's matrix of an unstable orbit may be singular up to round-off only; orbits of one
-        # energy are isolated if no multiplier is 1.
-        orbit = replace(orbit, is_isolated=differ_from_one(orbit.shift_multipliers, spread))
+    if not isolated and problem.period is None:
+        # Newton's matrix of an unstable orbit may be singular up to round-off only. Orbits of one
+        # energy are isolated if no multiplier is 1; with further integrals the matrix, too, has to
+        # be regular: what round-off alone leaves of it differs from computation to computation.
+        known = len(integrals_of(problem.H)) <= 1
+        known = known or _same_condition(found.step.condition, step.condition)
+        isolated = known and differ_from_one(orbit.shift_multipliers, spread)
+        orbit = replace(orbit, is_isolated=isolated)
     failure = found.failure or _degenerate(problem, finer)
     if not failure and not error <= tol:
         failure = f"the estimated error {error:.1e} is above tol {tol:.1e}"
@@ -440,6 +448,12 @@ def solved_orbit(
         multiplier_error=spread,
         seconds=seconds,
     )
+
+
+def _same_condition(one: float, other: float) -> bool:
+    """Whether two reciprocal condition numbers are the same, and more than round-off leaves."""
+    low, high = sorted((one, other))
+    return low > _ROUND_OFF and high <= _ALIKE * low
 
 
 def _guess(H: Hamiltonian, guess: Any) -> tuple[np.ndarray, float | None]:
