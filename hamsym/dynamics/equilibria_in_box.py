@@ -122,11 +122,12 @@ def _combined(
     family = f"any {', '.join(finder.H.names[i] for i in cyclic)}" if cyclic else ""
     for roots in itertools.product(*parts):
         state: list[Any] = [arb(0)] * len(low)
+        unique: list[Any] = [arb(0)] * len(low)
         for i in cyclic:
             state[i] = arb(0.0 if low[i] <= 0 <= high[i] else float((low[i] + high[i]) / 2))
         for block, root in zip(places, roots, strict=True):
-            for i, entry in zip(block, root.enclosure, strict=True):
-                state[i] = entry
+            for i, entry, around in zip(block, root.enclosure, root.unique, strict=True):
+                state[i], unique[i] = entry, around
         with working(BITS):
             smooth = balls.energy(state).is_finite()
             edge = any(
@@ -138,7 +139,7 @@ def _combined(
             ends = [float(entry.mid()) for entry in state]
             undecided.append(Undecided(tuple(ends), tuple(ends), SINGULAR))
             continue
-        each = finder.proven(Root(state, state), family=family, on_edge=edge)
+        each = finder.proven(Root(state, unique), family=family, on_edge=edge)
         found.append(dataclasses.replace(each, enclosure=None) if cyclic else each)
     return found, undecided
 
@@ -189,7 +190,8 @@ def _merged(H: Hamiltonian, parts: Sequence[Undecided], gap: np.ndarray) -> list
 def _box_message(found: Sequence[Equilibrium], regions: Sequence[Region], boxes: int) -> str:
     if not regions:
         which = {0: "no equilibria", 1: f"the only {counted(found).removeprefix('1 ')}"}
-        return f"{which.get(len(found), f'all {counted(found)}')} in the box, proven"
+        where = "in the box" + " or on its edge" * any(each.on_edge for each in found)
+        return f"{which.get(len(found), f'all {counted(found)}')} {where}, proven"
     left = sum(region.boxes for region in regions)
     count = counted(found) if found else "no equilibria"
     text = f"{count} found; not proven to be all of them in the box: "

@@ -67,20 +67,22 @@ class Finder:
         return Equilibrium(self.H.names, z, self.energy(z), how, linear=linear, H=self.H, **known)
 
     def proven(self, root: Root, **known: Any) -> Equilibrium:
-        """The equilibrium in an enclosure."""
+        """The equilibrium in an enclosure; without it if float64 does not tell it from others."""
         assert self._balls is not None
         with working(BITS):
             middle = [0.0 if entry.contains(0) else float(exact(entry)) for entry in root.enclosure]
             radius = [above(abs(e - arb(m))) for e, m in zip(root.enclosure, middle, strict=True)]
             energy = self._balls[0].energy(root.enclosure)
+            stated = [arb(m, r) for m, r in zip(middle, radius, strict=True)]
+            alone = all(u.contains(b) for u, b in zip(root.unique, stated, strict=True))
         z = np.array(middle) + 0.0
         self._require_same_function(z)
         return Equilibrium(
             self.H.names,
             z,
             float(energy.mid()),
-            "symbolic" if "exact" in known else "proven",
-            Ball(z, np.array(radius)),
+            "symbolic" if "exact" in known else "proven" if alone else "numerical",
+            Ball(z, np.array(radius)) if alone else None,
             linear=self._stability_of(z),
             H=self.H,
             **known,

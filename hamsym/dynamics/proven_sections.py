@@ -45,7 +45,7 @@ from hamsym.proof.arithmetic.functions import BALLS, SingularityError
 from hamsym.proof.arithmetic.generated import GeneratedFunctions, evaluated, require_smooth
 from hamsym.proof.windows.enclose import Enclosure, enclosed
 from hamsym.proof.windows.public_windows import check_enclosure
-from hamsym.support.record_fields import Size, counts
+from hamsym.support.record_fields import Limit, Size, counts
 from hamsym.support.shown import Shown
 from hamsym.symbolic.exact import rational
 from hamsym.symbolic.variables import TIME
@@ -58,6 +58,8 @@ _BITS = 128
 _SHORTEST = 2.0**-36
 # Trials of a set Z over a part, each wider than the last.
 _TRIALS = 3
+# Distance of crossings from the proven ones, of a step and of the largest size of a component.
+_NEAR = 0.01
 # Steps of Newton's method, which end when one no longer halves the time.
 _NEWTON = 12
 
@@ -69,7 +71,8 @@ _Matrix = list[list[arb]]
 class SectionCertificate(Shown):
     """Proven crossings of a surface, in the order of the :class:`Section` that has them.
 
-    Between the balls of the times there is no other crossing in the span: all are transversal.
+    Between the balls of the times there is no other crossing in the span, or none in the asked
+    direction: all are transversal.
 
     Attributes
     ----------
@@ -95,7 +98,7 @@ class SectionCertificate(Shown):
     statement: str
     starts: Ball
     direction: float
-    limit: int | None
+    limit: Annotated[int, Limit(1)] | None
     t: Ball
     z: Ball
     derivative: Ball
@@ -162,11 +165,11 @@ def prove_section(
         mine = np.flatnonzero(section.trajectory == number)
         span = _span_of(section, section.t[mine], limit)
         own = _crossings(H, section.surface, Ball(*start), span, direction)[:limit]
-        _require_same(section, mine, own, number)
+        _require_same(section, H, mine, own, number)
         found += own
     dim = section.H.dim
     return SectionCertificate(
-        _statement(section, starts, len(found), limit),
+        _statement(section, starts, len(found), direction, limit),
         starts,
         float(direction),
         limit,
@@ -178,14 +181,19 @@ def prove_section(
     )
 
 
-def _statement(section: Section, starts: Ball, count: int, limit: int | None) -> str:
-    low, high = section.span
-    until = "" if limit is not None else f" for t from {low:.6g} to {high:.6g}"
+def _statement(
+    section: Section, starts: Ball, count: int, direction: float, limit: int | None
+) -> str:
+    low, high = map(float, section.span)
     many = len(starts.mid) > 1
+    all_found = limit is not None and count == limit * len(starts.mid)
+    until = "" if all_found else f" for t from {low!r} to {high!r}"
     who = "every start in the ball" if starts.radius.any() else "the start" + "s" * many
     times = "once" if count == 1 else f"{count:,} times"
     first = "first " if limit is not None else ""
     how = "transversally" if count else "that is, never"
+    if direction:
+        how = ("rising, " if direction > 0 else "falling, ") + how
     return (
         f"the exact solution{'s' * many} of {who} {first}cross{'' if many else 'es'} "
         f"{section.surface} {times}{until}, {how}, at times and states in the balls"
@@ -202,20 +210,26 @@ def _span_of(section: Section, times: np.ndarray, limit: int | None) -> tuple[fl
 
 
 def _require_same(
-    section: Section, rows: np.ndarray, proven: Sequence[_Crossing], number: int
+    section: Section, H: Hamiltonian, rows: np.ndarray, proven: Sequence[_Crossing], number: int
 ) -> None:
     if len(rows) != len(proven):
         raise CertificationError(
             f"trajectory {number} has {len(proven)} crossings by the proof and {len(rows)} in the "
             "section: one is within round-off of an end of the span, or the steps are too large"
         )
+    begin, end = section.span
+    room = _NEAR * min(abs(section.dt), abs(end - begin))
+    sizes = np.abs(section.z).max(axis=0, initial=0.0)
     for row, crossing in zip(rows, proven, strict=True):
         apart = abs(float(crossing.t.mid()) - float(section.t[row]))
-        room = 0.01 * abs(section.dt) + float(crossing.t.rad())
-        if not apart <= room:
+        middle, radius = (np.array(part) for part in float_balls(crossing.z))
+        moves = np.abs(H.compile("numpy").at("vector_field", middle, float(crossing.t.mid())))
+        near = np.abs(section.z[row] - middle) <= radius + _NEAR * sizes + room * moves
+        if not (apart <= room + float(crossing.t.rad()) and near.all()):
             raise CertificationError(
-                f"the section has a crossing at t = {float(section.t[row])!r}, the proof at "
-                f"{float(crossing.t.mid())!r}; give smaller steps"
+                f"the section has a crossing at t = {float(section.t[row])!r}, at z = "
+                f"{section.z[row].tolist()}, the proof at {float(crossing.t.mid())!r}, at "
+                f"{middle.tolist()}; give smaller steps"
             )
 
 

@@ -156,6 +156,8 @@ class Problem:
         if self.parameter is not None and self.parameter not in names:
             raise ValueError("it varies a parameter that H does not have")
         self.H.require_parameters()
+        if self.energy is not None and not self.conservative:
+            raise ValueError("it has an energy that H does not conserve")
         if len(self.closing.shift.places) != self.H.dim:
             raise ValueError("its symmetry has another number of components")
 

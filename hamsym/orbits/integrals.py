@@ -161,7 +161,9 @@ def _independent(
     for k, integral in enumerate(integrals):
         length = np.linalg.norm(left[k])
         closes = np.linalg.norm(gaps[k]) <= _CLOSING * length
-        if not (length > _ROUND_OFF and (closes or integral == H)):
+        # H moves along every orbit; a start near an equilibrium has a small gradient.
+        least, closes = (0.0, True) if integral == H else (_ROUND_OFF, closes)
+        if not (length > least and closes):
             continue
         chosen.append(integral)
         unit, gap = left[k] / length, gaps[k] / length

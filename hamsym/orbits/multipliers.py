@@ -296,6 +296,7 @@ def gradients_of_integrals(
         power = shift.power(k)
         moved, units = power(states), np.abs(power(scale))
         least = _ROUND_OFF * natural_sizes(integrals, moved[0], units)
+        least[[each == H for each in integrals]] = 0.0  # H moves along every orbit
         kept = np.abs(directions(integrals, moved[0]) / units).max(axis=1) > least
         times = np.zeros(len(states))
         fields = [

@@ -535,11 +535,13 @@ def _other_period(problem: Problem, arc: Arc, tol: float) -> str:
 def _repetitions(problem: Problem, arc: Arc, tol: float) -> int:
     """The number of times that the orbit, and H in time, close in the period."""
     orbit = _unjudged(problem, arc)
-    units = np.ptp(orbit(problem.start + np.linspace(0, arc.period, _POINTS)), axis=0)
-    units = floored_sizes(units, _SAME)
+    times = problem.start + np.linspace(0, arc.period, _POINTS)
+    states = orbit(times)
+    units = floored_sizes(np.ptp(states, axis=0), _SAME)
     found, shortest = 1, arc.period
     for prime in _REPETITIONS:
-        while np.abs((orbit(problem.start + shortest / prime) - orbit.z0) / units).max() < _SAME:
+        # Near an equilibrium states are the same for long, elsewhere they are not.
+        while np.abs((orbit(times + shortest / prime) - states) / units).max() < _SAME:
             if _other_period(problem, replace(arc, period=shortest / prime), tol):
                 break
             found, shortest = found * prime, shortest / prime

@@ -44,6 +44,8 @@ def _symplectic(matrix: Any, whole: Any) -> str:
     """
     polynomial = matrix.charpoly()
     coefficients = [polynomial[i] for i in range(matrix.nrows() + 1)]
+    if matrix.nrows() % 2:  # a direction is left that has no partner
+        return "undecided"
     n = (len(coefficients) - 1) // 2
     if n == 0:
         size = whole.nrows()

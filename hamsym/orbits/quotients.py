@@ -120,6 +120,8 @@ class Directions:
         maps = [each for each in (closing.shift, closing.first, closing.last) if each is not None]
         if not all(are_permuted(integrals, each) for each in maps):
             raise ZeroDivisionError
+        if problem.conservative and problem.H not in integrals:
+            raise ZeroDivisionError
         self._integrals = [GeneratedFunctions(each, BALLS) for each in integrals]
         self._flows, self._free = self._integrals, neutral(integrals, problem.H)
         if not integrals and problem.autonomous:  # with forces

@@ -20,6 +20,7 @@ from hamsym.flow_maps.expansion import Leg, Split
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.problems.description import described, described_formula
+from hamsym.proof.arithmetic.balls import working
 from hamsym.proof.boxes.box_certificate import BoxCertificate
 from hamsym.proof.checker.equilibria import check_equilibrium
 from hamsym.proof.checker.flow_maps import check_flow_map
@@ -32,12 +33,15 @@ from hamsym.random_features.trial import FeatureTrial
 from hamsym.solution.solution import Solution
 from hamsym.support.record_fields import fields_of
 
+_BITS = 64  # until a checker sets its own precision
+
 
 @contextmanager
-def refusals() -> Iterator[None]:
-    """Turn refusals of the checker into errors of hamsym."""
+def checking() -> Iterator[None]:
+    """Turn refusals of the checker into errors of hamsym; keep what it sets of Arb to itself."""
     try:
-        yield
+        with working(_BITS):
+            yield
     except NotProvenError as error:
         raise CertificationError(f"the certificate does not hold: {error}") from None
 
@@ -49,7 +53,7 @@ def _check(
     check_time: Callable[[str], None],
 ) -> None:
     """Run a checker on a result and the claims of its certificate."""
-    with refusals():
+    with checking():
         checker(
             *given,
             json.loads(claims.to_json()),
@@ -148,7 +152,7 @@ def verify_equilibrium(found: hamsym.Equilibrium, H: Hamiltonian) -> None:
         "stable": None if linear is None else linear.stable,
         "definite": 0 if linear is None else linear.definite,
     }
-    with refusals():
+    with checking():
         check_equilibrium(described(H), claims)
 
 
@@ -156,7 +160,7 @@ def verify_invariant(found: hamsym.Invariant, H: Hamiltonian) -> None:
     """Prove that an invariant is one, for all values of the parameters or for those it names."""
     known = dict(found.holds_for)
     free = [name for name in H.parameter_names if name not in known]
-    with refusals():
+    with checking():
         data = described(H) | {"parameters": known}
         check_invariant(data, free, described_formula(found.expr, H.names))
 

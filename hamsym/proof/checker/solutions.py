@@ -100,7 +100,8 @@ class _Check:
             raise FalseClaimError("the certificate has numbers that are no bounds")
         #: Claims of lower bounds that are not proven yet, and what has to be bounded.
         self._open = {k for k, lower in enumerate(self._lowers) if lower > 0}
-        self._used = [k for k, v in enumerate(self._uppers) if v < math.inf or k in self._open]
+        least = [min([self._uppers[0], *self._pieces]), *self._uppers[1:]]
+        self._used = [k for k, v in enumerate(least) if v < math.inf or k in self._open]
         zero = {i for i, value in enumerate(z0) if value == 0 and _is_zero(trial, i)}
         self._resting = self._equations.resting(zero)
         start = [*map(arb, z0), ball(span[0])]

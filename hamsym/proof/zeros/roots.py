@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import pairwise
 from typing import Any
 
 import sympy
@@ -199,11 +200,14 @@ def polynomial_roots(
     if polynomial.degree() < 1:
         return []
     found = polynomial.intervals(eps=sympy.Rational(finest.numerator, finest.denominator))
-    roots = []
+    ends = [[Fraction(int(end.p), int(end.q)) for end in pair] for pair, _ in found]
+    if not ends:
+        return []
+    gaps = [Fraction(1), *(a - b for (_, b), (a, _) in pairwise(ends)), Fraction(1)]
+    rooms = [min(pair) / 2 for pair in pairwise(gaps)]
     with working(BITS):
-        for ends, _ in found:
-            a, b = (Fraction(int(end.p), int(end.q)) for end in ends)
-            if b >= first and a <= last:
-                enclosure = [interval(a, b)]
-                roots.append(Root(enclosure, enclosure))
-    return roots
+        return [
+            Root([interval(a, b)], [interval(a - room, b + room)])
+            for (a, b), room in zip(ends, rooms, strict=True)
+            if b >= first and a <= last
+        ]

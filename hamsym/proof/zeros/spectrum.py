@@ -92,6 +92,7 @@ def _spectrum(hessian: Sequence[Sequence[Any]], components: list[int]) -> BlockS
             unstable = unstable or _has_sign(parts[other], -sign)
             if sum(counts[other]) == half:
                 centres = counts[other][0 if sign > 0 else 1]
+                unstable = unstable or centres < half
                 return BlockSpectrum(components, 0, natural, centres, None, unstable)
     matrix = acb_mat([*rows[half:], *([-entry for entry in row] for row in rows[:half])])
     found = _two_pairs(matrix) if half == 2 else _isolated(matrix)
