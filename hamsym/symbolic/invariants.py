@@ -38,6 +38,7 @@ _MOST_MONOMIALS = 3_000  # of one homogeneous part, whose matrix is dense
 _MOST_CANDIDATES = 20_000  # monomials in all
 _MOST_PRODUCTS = 3_000  # of known invariants
 _MOST_TERMS = 400  # of one invariant
+_STEPS = (sympy.sign, sympy.Heaviside, sympy.floor, sympy.ceiling, sympy.Mod, sympy.Piecewise)
 _SPARE = 12  # points beyond the number of unknowns
 
 
@@ -69,9 +70,14 @@ def is_conserved(
 ) -> bool:
     """Whether f is constant along every trajectory: {f, H} + F . df/dp + df/dt = 0.
 
+    As long as f is smooth there: atan(p/x) jumps where x is zero. Functions that are nothing but
+    steps are refused.
+
     - f, time: In real symbols; the time must be given if f or H contains it.
     - every: Parameters for all values of which that must hold, not only for those they have.
     """
+    if any(step.free_symbols & {*equations.z, time} for step in f.atoms(*_STEPS)):
+        return False
     values = {
         symbol: rational(value)
         for name, (symbol, value) in equations.parameters.items()

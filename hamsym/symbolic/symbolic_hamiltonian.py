@@ -346,6 +346,8 @@ class SymbolicHamiltonian(Shown):
     def is_conserved(self, f: str | sympy.Expr, *, every: Sequence[str] = ()) -> bool:
         """Whether f is constant along every trajectory: {f, H} + F . df/dp + df/dt = 0.
 
+        As long as f is smooth there: ``atan(p/x)`` jumps where x is zero.
+
         Parameters
         ----------
         f : str or sympy.Expr

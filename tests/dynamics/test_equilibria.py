@@ -473,3 +473,16 @@ def test_no_type_is_stated_beside_a_place_where_h_is_not_smooth(text: str) -> No
         assert each.stable is None
         assert each.lyapunov_stable is None
         assert not len(each.frequencies)
+
+
+def test_zeros_that_float64_does_not_separate_have_no_ball() -> None:
+    H = Hamiltonian("p**2/2 + (x-1)**3/3 - 3*(x-1)**2/(2*10**20) + 2*(x-1)/10**40")
+    found = hamsym.equilibria(H, box={"x": (0, 2), "p": (-1, 1)})
+    assert "all 2 equilibria in the box, proven" in found.message
+    assert all(each.enclosure is None and each.how == "numerical" for each in found)
+
+
+def test_zero_beside_the_box_is_said_to_be_on_its_edge() -> None:
+    H = Hamiltonian("p**2/2 + x**2/2 - x - x/10**80")
+    found = hamsym.equilibria(H, box={"x": (0, 1), "p": (-1, 1)})
+    assert found.message == "the only equilibrium in the box or on its edge, proven"

@@ -184,3 +184,26 @@ def test_files_and_verification(tmp_path: Path) -> None:
     with pytest.raises(CertificationError, match="other starts"):
         hamsym.verify(claim, section("p**2/2 - cos(x)", [1.1, 0], (0, 9), "x = 0"))
     assert "proven" in found.summary()
+
+
+def test_statements_say_direction_and_span() -> None:
+    rising = section("p**2/2 + x**2/2", [0, 1], (0, 20), "x = 0", direction=1, prove=True)
+    assert "3 times for t from 0.0 to 20.0, rising," in rising.certificate.statement
+    short = section("p**2/2 + x**2/2", [0, 1], (0, 9.424777), "x = 0", prove=True)
+    assert "2 times for t from 0.0 to 9.424777, " in short.certificate.statement
+    first = section("p**2/2 + x**2/2", [0, 1], (0, 20), "x = 0", crossings=1, prove=True)
+    assert "for t" not in first.certificate.statement
+
+
+def test_certificates_do_not_hold_for_other_crossings() -> None:
+    found = section("p**2/2 + x**2/2", [1, 0], (0, 10), "x = 0", prove=True)
+    for changed in ({"z": found.z + 5.0}, {"t": found.t * 0.5, "dt": 1e3}):
+        with pytest.raises(CertificationError, match="the section has"):
+            found.certificate.verify(replace(found, **changed))
+
+
+def test_certificates_without_crossings_are_no_claim(tmp_path: Path) -> None:
+    found = section("p**2/2 + x**2/2", [1, 0], (0, 10), "x = 0", prove=True)
+    empty = replace(found.certificate, limit=0)
+    with pytest.raises(hamsym.HamsymError, match="limit"):
+        hamsym.save(replace(found, certificate=empty), tmp_path / "none.hamsym")

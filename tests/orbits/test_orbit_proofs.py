@@ -506,3 +506,30 @@ def test_attraction_of_matrices_with_known_multipliers(multipliers, expected):
     matrix = flint.arb_mat([[flint.arb(v, 1e-12) for v in row] for row in companion.tolist()])
     assert proven_stability(matrix, matrix, forced=True) == expected
     assert expected in WEAKER
+
+
+@pytest.mark.parametrize("word", ["3", "-3"])
+def test_direction_without_a_partner_leaves_stability_undecided(word):
+    # multipliers 1, m, 1/m
+    rows = [[1, 0, 0], [0, 0, -1], [0, 1, float(word)]]
+    matrix = flint.arb_mat([[flint.arb(a) for a in row] for row in rows])
+    assert proven_stability(matrix, matrix, forced=False) == "undecided"
+
+
+def test_orbit_that_starts_beside_an_equilibrium_has_the_stability_of_its_integrals():
+    """A start 4e-8 from a saddle has a gradient of H of that size; beside it many states repeat."""
+    H = "(p_x**2 + p_y**2)/2 - x**2/2 + x**4/4 + 0.04*y**2/2 + 0.5*x**2*y**2/2"
+    mirror = {"p_x": "-p_x", "p_y": "-p_y"}
+    orbit = hamsym.periodic_orbit(H, [4e-8, 0, 0, 0], symmetry=mirror, tol=1e-6)
+    # the trace of the pair across the plane, with 40 digits
+    assert orbit.shift_multipliers.real.sum() == pytest.approx(-3.13157, abs=1e-5)
+    assert (orbit.stability, orbit.repetitions) == ("hyperbolic", 1)
+    assert orbit.certify().stability == "hyperbolic"
+
+
+def test_energy_that_is_not_conserved_is_refused():
+    H = hamsym.Hamiltonian("p**2/2 + x**2/2", forces={"p": "(1 - x**2)*p"})
+    orbit = hamsym.periodic_orbit(H, ([2.0, 0.0], 6.66))
+    problem = dataclasses.replace(orbit.problem, energy=123.0)
+    with pytest.raises(ValueError, match="not conserve"):
+        problem.check()

@@ -15,6 +15,7 @@ import math
 import numpy as np
 import pytest
 import sympy
+from flint import ctx
 
 import hamsym
 from hamsym.errors import CertificationError, FileError
@@ -612,3 +613,31 @@ def test_invariants_of_another_form_are_refused_by_the_checker_alone():
             continue
         # Units do not matter, and a number is an invariant.
         assert path[:2] in (("H", "units"), ("f", "formula"), ("f", "floats")), (path, value)
+
+
+def test_bounds_of_pieces_count_beside_infinite_ones():
+    solution = hamsym.solve("p**2/2 + x**2/2 + x**4/4", [1.0, 0.0], (0.0, 2.0), tol=1e-6)
+    claims = solution.certify()
+    pieces = tuple(0.0 for _ in claims.piece_bounds)
+    forged = dataclasses.replace(claims, bound=math.inf, piece_bounds=pieces, lower=0.0)
+    for checker in ("kernel", "independent"):
+        with pytest.raises(CertificationError):
+            hamsym.verify(forged.to_json(), solution, checker=checker)
+
+
+def test_words_that_are_no_type_are_refused():
+    H = hamsym.Hamiltonian("p**2/2 + x**2/2 + x**4/4")
+    found = hamsym.equilibria(H)[0]
+    forged = dataclasses.replace(
+        found, linear=dataclasses.replace(found.linear, type="SADDLE-centre")
+    )
+    with pytest.raises(CertificationError, match="words"):
+        hamsym.verify(forged, H, checker="independent")
+
+
+def test_checker_leaves_the_settings_of_arb_to_others():
+    solution = hamsym.solve("p**2/2 + x**2/2 + x**4/4", [1.0, 0.0], (0.0, 1.0), tol=1e-6)
+    claims = solution.certify()
+    before = ctx.prec, ctx.cap
+    hamsym.verify(claims, solution, checker="independent")
+    assert (ctx.prec, ctx.cap) == before

@@ -75,3 +75,19 @@ def test_zero_eigenvalues_are_undecided_and_saddles_beside_them_unstable() -> No
     [found] = block_spectra(balls(H))
     assert not found.decided
     assert found.unstable
+
+
+def test_saddle_among_frequencies_of_other_sizes_is_unstable() -> None:
+    # the smallest eigenvalue of V is negative and below the round-off of the largest
+    V = np.array(
+        [
+            [-1.0151438161066253e-06, -38113.159764245785, 6.956095597678674e-06],
+            [-38113.159764245785, 4.170458080343219e16, 191585.30445920586],
+            [6.956095597678674e-06, 191585.30445920586, 0.00019951129131110762],
+        ]
+    )
+    hessian = np.zeros((6, 6))
+    hessian[:3, :3], hessian[3:, 3:] = V, np.eye(3)
+    [found] = block_spectra(balls(hessian))
+    assert found.unstable
+    assert found.centres == 2

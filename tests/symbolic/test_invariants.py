@@ -535,3 +535,8 @@ def test_results_are_a_list_with_a_table() -> None:
     assert max(map(len, lines)) <= 80
     assert "... and 1 invariants" in found.summary(rows=0)
     assert "is no proof of chaos" in H.with_parameters(c=2.1).invariants(2).summary()
+
+
+@pytest.mark.parametrize("step", ["sign(x)", "Heaviside(x - 1)", "x*sign(p)"])
+def test_steps_are_not_conserved(step):
+    assert not Hamiltonian("p**2/2 + x**2/2").is_conserved(step)

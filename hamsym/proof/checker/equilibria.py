@@ -131,6 +131,8 @@ def _check_words(hessian: arb_mat, claims: Mapping[str, Any]) -> None:
         found, sign = _classified(block)
         counts.update(found)
         definite.add(sign)
+    if not re.fullmatch(r"(\d+ x )?[a-z]+((-|, )(\d+ x )?[a-z]+)*", claims["type"]):
+        raise NotProvenError("its type is not written in words of types")
     words = re.sub("focus-focus", "focus", claims["type"])
     claimed = Counter(re.findall("[a-z]+", re.sub(r"\d+ x [a-z]+", "", words)))
     claimed.update({name: int(n) for n, name in re.findall(r"(\d+) x ([a-z]+)", words)})

@@ -1,5 +1,8 @@
 """Invariants: df/dt = 0 along every trajectory, as an identity of rational functions.
 
+So f is constant as long as it is smooth along the trajectory: the arc tangent of p/x jumps where x
+is zero.
+
 The variables, parameters and pi, each function of an argument, and each root are generators of a
 polynomial ring over the rational numbers, with the relations sin^2 + cos^2 = 1, exp(a) exp(-a) = 1
 and (a^(1/m))^m = a. If the numerator of df/dt becomes zero by these relations, the identity is
@@ -22,11 +25,15 @@ _Quotient = tuple[fmpq_mpoly, fmpq_mpoly]
 
 
 def check_invariant(H: Mapping[str, Any], free: Sequence[str], f: Mapping[str, Any]) -> None:
-    """Prove that f is constant along every trajectory; raise NotProvenError otherwise.
+    """Prove that f is constant along every trajectory on which it is smooth, or raise.
 
     - H: Its parameters are those that have a value.
     - free: All other parameters.
     - f: "formula" and "floats".
+
+    Raises
+    ------
+    NotProvenError
     """
     with refusing_other_forms():
         equations = Equations(H, free)
