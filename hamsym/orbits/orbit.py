@@ -19,6 +19,7 @@ from hamsym.numerics.scales import floored_sizes
 from hamsym.numerics.symplectic import symplectic_inverse
 from hamsym.orbits.arc import Arc, Problem, vector_field_at
 from hamsym.orbits.condensed import SINGULAR
+from hamsym.orbits.force_between import missed_feature
 from hamsym.orbits.integrals import integrals_of
 from hamsym.orbits.multipliers import (
     differ_from_one,
@@ -326,8 +327,9 @@ def periodic_orbit(
     -------
     PeriodicOrbit
         ``success`` is false if Newton's method does not converge, the estimated error is above
-        the tolerance, H or its gradient jumps on the way, or an H that depends on time does not
-        have the period; ``message`` says why.
+        the tolerance, H or its gradient jumps on the way, the force has a feature between the
+        points of the windows, or an H that depends on time does not have the period; ``message``
+        says why.
 
     Raises
     ------
@@ -424,6 +426,7 @@ def solved_orbit(
     if not failure and not error <= tol:
         failure = f"the estimated error {error:.1e} is above tol {tol:.1e}"
     failure = failure or _jump(problem, finer) or _other_period(problem, finer, tol)
+    failure = failure or missed_feature(problem, finer, tol)
     seconds = time.perf_counter() - start
     elapsed = "" if began is None else f" in {seconds:.2g} s"
     count = len(found.arc.edges) - 1

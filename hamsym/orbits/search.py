@@ -341,4 +341,4 @@ def check(problem: Problem, arc: Arc) -> tuple[Arc, Step, float]:
     rest = found.precise
     ends = ((np.abs(step.ends) + np.abs(rest.ends.low)) / arc.scale).max()
     period = (abs(step.period) + abs(rest.period.low)) / arc.period
-    return found, step, float(max(ends, period))
+    return found, step, float(np.maximum(ends, period))  # NaN if either is

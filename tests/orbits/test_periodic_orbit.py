@@ -1,13 +1,16 @@
 """Periodic orbits against exact periods, published orbits and other methods."""
 
+import dataclasses
 import math
 
 import mpmath
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import hamsym
 from hamsym.errors import InputError
+from hamsym.orbits.force_between import missed_feature
 
 HENON_HEILES = hamsym.Hamiltonian("(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2 + x**2*y - y**3/3")
 DUFFING = "p**2/2 + x**2/2 + x**4/4"
@@ -267,6 +270,40 @@ def test_orbit_across_a_jump_of_H_is_no_success():
     assert "H jumps at t = 1.57" in orbit.message
     smooth = hamsym.periodic_orbit("p**2/2 + x**2/2 + sign(x - 3)/10", [1.0, 0.0])
     assert smooth.success
+
+
+#: A barrier of width 1e-4 and height 0.1 at 1.05, whose top has the energy 0.65.
+BARRIER = "p**2/2 + x**2/2 + 0.1*exp(-((x - 1.05)/0.0001)**2)"
+
+
+def test_orbit_through_a_barrier_between_the_points_is_no_success():
+    # Newton's method comes from an orbit inside the barrier to one that passes through it.
+    orbit = hamsym.periodic_orbit(BARRIER, [1.0, 0.0], energy=0.605)
+    assert not orbit.success
+    assert "the force has a feature" in orbit.message
+
+
+@pytest.mark.slow
+def test_family_turns_at_a_barrier_that_its_points_miss():
+    energy = hamsym.Hamiltonian(BARRIER).compile("numpy").energy
+    place = brentq(lambda x: float(energy(np.array([x, 0.0]))) - 0.605, 1, 1.05)
+    inside = hamsym.periodic_orbit(BARRIER, [0.9, 0.0])
+    family = inside.family(energy=0.605)
+    assert family.success
+    assert family[-1].arc.values[..., 0].max() == pytest.approx(place, abs=1e-6)
+
+
+def test_force_that_the_points_of_a_driven_orbit_miss_is_met_by_its_bound():
+    # x = -4/3 cos(t) without the pulse, of width 1e-9 in sin(t)
+    H = hamsym.Hamiltonian(
+        "p**2/2 + x**2/8 - x*(cos(t) + 1000*k*exp(-((sin(t) - 0.7)/1e-9)**2))",
+        parameters={"k": 0.0},
+    )
+    orbit = hamsym.periodic_orbit(H, [-1.3, 0.0], period="2*pi")
+    assert orbit.success
+    with_pulse = dataclasses.replace(orbit.problem, H=H.with_parameters(k=1.0))
+    assert missed_feature(orbit.problem, orbit.arc, 1e-10) == ""
+    assert "near t = 0.7753" in missed_feature(with_pulse, orbit.arc, 1e-10)
 
 
 @pytest.mark.slow
