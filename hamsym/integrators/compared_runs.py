@@ -19,6 +19,7 @@ from hamsym.integrators.richardson import Extrapolation, extrapolate, perturb
 from hamsym.integrators.stepper import Stepper
 from hamsym.integrators.table import INTEGRATORS
 from hamsym.integrators.trajectory import Verdicts
+from hamsym.numerics.scales import SMALLEST, coupled_sizes
 from hamsym.problems.ensemble import Ensemble
 
 #: Change of H in units of the change that the tolerance allows, at which a trajectory fails; errors
@@ -111,8 +112,8 @@ class ComparedRuns:
         self.system = members.H.compile("numpy")
         #: Whether each member is summed with compensation; equal for members of one comparison.
         self.compensated = np.full(len(members), compensated)
-        #: Least sizes of the components of each member.
-        self.least = np.zeros(members.states.shape)
+        #: Whether the sizes of the components of each member are at least 1e-8 of the coupled ones.
+        self.coupled = np.zeros(len(members), dtype=bool)
         #: Whether no member was compared before.
         self.is_first = True
 
@@ -146,7 +147,7 @@ class ComparedRuns:
             self.next_order,
             4 * coarse,
             self._rounding(rows),
-            self.least[rows],
+            self._least(rows, dense),
         )
         states = found.states[:, self.kept]
         changes = self._energy_changes(rows, states, found.sizes, 4 * coarse)
@@ -167,6 +168,25 @@ class ComparedRuns:
         rounding = np.where(agree, shares.max(axis=1) * growth, 0.0)
         found.add_round_off(rounding)
         return Round(*(rows, coarse, states, found, finite, changes, hidden, rounding, evaluations))
+
+    def _least(self, rows: np.ndarray, path: np.ndarray) -> np.ndarray:
+        """Compute the least sizes of the components of members from their equations.
+
+        They belong to these runs alone: those of steps that are too long may be of any size.
+
+        - path: States of the middle run, shape (n, times, dim).
+        """
+        least = np.zeros((len(rows), path.shape[2]))
+        length = abs(self.span[1] - self.span[0])
+        sampled = path[:, :: (path.shape[1] - 1) // self.sampled]
+        times = np.linspace(*self.span, sampled.shape[1])
+        for i in np.flatnonzero(self.coupled[rows]).tolist():
+            given = self.members.own_parameters(rows[i : i + 1])
+            with np.errstate(all="ignore"):
+                coupling = np.abs(self.system.at("jacobian", sampled[i], times, given))
+                found = coupled_sizes(np.abs(path[i]).max(axis=0), coupling.mean(axis=0), length)
+            least[i] = np.where(np.isfinite(found), SMALLEST * found, 0.0)
+        return least
 
     def _hidden_features(
         self,

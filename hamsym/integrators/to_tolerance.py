@@ -31,7 +31,6 @@ from hamsym.integrators.invariant_drift import invariant_drifts
 from hamsym.integrators.step_scales import fastest_rates
 from hamsym.integrators.stepper import INTERRUPTED, require_memory
 from hamsym.integrators.trajectory import Trajectory
-from hamsym.numerics.scales import SMALLEST, coupled_sizes
 from hamsym.parallel.threads import Threads
 from hamsym.problems.conservation import KnownInvariants
 from hamsym.problems.ensemble import Ensemble
@@ -125,7 +124,7 @@ class ToleranceSearch:
         self._coarse = np.zeros(count, dtype=np.int64)
         self._best, self._stalled = np.full(count, np.inf), np.zeros(count, dtype=np.int64)
         self._lost, self._limited = np.zeros((2, count), dtype=np.int64)
-        self._unresolved, self._featured, self._coupled = np.zeros((3, count), dtype=bool)
+        self._unresolved, self._featured = np.zeros((2, count), dtype=bool)
         self._found = Tolerated(
             np.full((count, 1 + saves, dim), np.nan),
             np.full((count, 1 + saves, dim), np.inf),
@@ -262,8 +261,7 @@ class ToleranceSearch:
         # Beside a pole the excess varies: rounds that did not help count until it is resolved.
         count = np.where(narrow & finite, self._stalled[again], 0)
         self._stalled[again] = np.where(better | ~finite, count, self._stalled[again] + 1)
-        for position in bad[~self._coupled[again] & finite & (self._stalled[again] > 0)]:
-            self._widen(int(rows[position]), result, position)
+        self._runs.coupled[again] |= finite & (self._stalled[again] > 0)
         with np.errstate(all="ignore"):
             factor = ((worst[bad] - round_off) / (_AIM * tol)) ** (1 / self._runs.next_order)
         least = np.where(limited, 1.0, 1.2)
@@ -281,18 +279,6 @@ class ToleranceSearch:
             found.problems[int(rows[position])] = self._problem(result, position)
         self._coarse[again] = coarse
         return again[~stop]
-
-    def _widen(self, member: int, result: Round, position: int) -> None:
-        """Compute the least sizes of the components of a member from its equations, once."""
-        self._coupled[member] = True
-        z, sizes = result.states[position], result.found.sizes[position]
-        times = np.linspace(*self._span, len(z))
-        given = self._members.own_parameters(np.array([member]))
-        with np.errstate(all="ignore"):
-            coupling = np.abs(self._runs.system.at("jacobian", z, times, given)).mean(axis=0)
-        length = abs(self._span[1] - self._span[0])
-        if np.isfinite(sizes).all():
-            self._runs.least[member] = SMALLEST * coupled_sizes(sizes, coupling, length)
 
     def _problem(self, result: Round, position: int) -> str:
         """Describe why a member does not meet the tolerance."""

@@ -135,6 +135,28 @@ def test_tolerance_holds_in_any_units() -> None:
     np.testing.assert_allclose(scaled.z / [a, b], plain.z, atol=2e-9)
 
 
+@pytest.mark.slow_cases("p**2/2*(1 + x**4) + x**2-start1-1.8e-09-100")
+@pytest.mark.parametrize(
+    ("formula", "start", "tol", "saves"),
+    [
+        ("p**2/2 + x**4/4 + 0.3*x*cos(t)", [0.050474921817075934, -7.92282402802898], 5.9e-5, 3),
+        ("p**2/2*(1 + x**4) + x**2", [0.1571213875598874, 3.4537133675297516], 1.8e-9, 100),
+    ],
+)
+def test_sizes_of_runs_that_diverged_are_not_kept(
+    formula: str, start: list[float], tol: float, saves: int
+) -> None:
+    """In the first rounds the steps are so long that the states reach 1e30 and come back."""
+    H, span = Hamiltonian(formula), (0.0, 40.0)
+    found = hamsym.integrate(H, start, span, tol=tol, saves=saves)
+    solution = reference(H, np.array(start), span)
+    sizes = np.abs(solution(np.linspace(*span, 2001))).max(axis=0)
+    errors = np.abs(found.z - solution(found.t))
+    assert found.success is True
+    assert (errors <= found.errors + 1e-11 * sizes).all()
+    assert (errors <= tol * sizes).all()
+
+
 def test_round_off_limits_success() -> None:
     """Beside the unstable equilibrium round-off grows by the period of the libration."""
     for amplitude, possible in ((3.0, True), (3.1415926, False)):
