@@ -128,8 +128,8 @@ def _errors(
     elif isinstance(motion, Solutions):
         states, errors = motion(observed.t), motion.largest_error[:, None]
     else:
-        states = model.motions(found.unknowns)[0]
-        errors = motion.tol * np.abs(states).max(axis=1, keepdims=True)
+        # Absolute: the largest error in the box, however small this motion is.
+        states, errors = model.motions(found.unknowns)[0], motion.largest_error
     with np.errstate(all="ignore"):
         _, in_state, _ = model.observables(states, observed.t, parameters)
         moved = np.abs(in_state) * np.broadcast_to(errors, shape)[:, None]

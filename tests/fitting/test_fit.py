@@ -55,6 +55,7 @@ class Oscillation:
     span: tuple[float, float] = (0.0, 10.0)
     success: bool = True
     tol: float = 1e-10
+    largest_error: np.ndarray = field(default_factory=lambda: np.full(2, 1e-10))
     H: Hamiltonian = OSCILLATOR
 
     def __call__(self, t: Any, z0: Any, parameters: Any) -> np.ndarray:
@@ -551,10 +552,11 @@ def test_flow_map_gives_the_fit_of_solutions() -> None:
     ("flow", "message"),
     [
         (Oscillation(success=False), "the flow map has success=False"),
-        (Oscillation(tol=0.1), "give a smaller tol"),
+        (Oscillation(largest_error=np.array([0.006, 0.0])), "reach 1.2e-01 sigma; give a smaller"),
+        (Oscillation(largest_error=np.array([np.nan, 0.0])), "errors of the motion reach"),
         (Oscillation(box={"x": (0.1, 3.0), "k": (0.2, 3.9)}), "k is at its bound 3.9"),
     ],
-    ids=["failed", "inaccurate", "narrow"],
+    ids=["failed", "inaccurate", "unknown", "narrow"],
 )
 def test_flow_maps_that_cannot_be_trusted_are_refused(flow: Oscillation, message: str) -> None:
     t, data = tracks(2, 0.05)
@@ -583,6 +585,16 @@ def test_arguments_that_contradict_a_flow_map_are_refused(
         hamsym.fit(OSCILLATOR, t, {"x": data[0]}, flow=Oscillation(), **arguments | options)
     with pytest.raises(InputError, match="H is not that of the flow map"):
         hamsym.fit("p**2/2 + x**2/2", t, {"x": data}, free={"x": 1.0}, flow=Oscillation())
+
+
+def test_errors_of_a_flow_map_are_not_relative_to_small_motions() -> None:
+    t, data = tracks(1, 0.05)
+    box = {"x": (0.0, 3.0), "k": (0.2, 9.0)}
+    flow = Oscillation(box=box, tol=1e-3, largest_error=np.array([3e-3, 3e-3]))
+    options: dict[str, Any] = {"free": {"k": 3.8, "x": 1e-3}, "sigma": 5e-5, "flow": flow}
+    found = hamsym.fit(OSCILLATOR, t, {"x": 1e-3 * data[0]}, **options)
+    assert not found.success
+    assert "errors of the motion reach 6.0e+01 sigma" in found.message
 
 
 def test_values_fixed_by_the_user_are_inputs_of_a_flow_map() -> None:

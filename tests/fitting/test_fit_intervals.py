@@ -26,6 +26,7 @@ class Swing:
     fixed: dict[str, float] = field(default_factory=dict)
     success: bool = True
     tol: float = 1e-12
+    largest_error: tuple[float, float] = (1e-12, 1e-12)
 
     @property
     def H(self) -> Hamiltonian:
