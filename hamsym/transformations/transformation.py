@@ -35,7 +35,9 @@ from hamsym.transformations.canonical_maps import (
 
 _ITERATIONS = 60  # of Newton's method
 _STARTS = 200  # random starts of it
-_NEAR = 64 * float(np.finfo(float).eps)  # relative distance of a solution
+_EPS, _TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
+_NEAR = 64 * _EPS  # relative distance of a solution
+_COARSE = 1e-12  # part of the sizes that round-off of the new variables may be
 
 
 @suggest_attributes
@@ -119,7 +121,8 @@ class Transformation(Shown):
         for n, (row, time) in enumerate(zip(rows, times, strict=True)):
             starts = [last] if last is not None else self._starts(row)
             solutions = (self._solved(start, row, float(time)) for start in starts)
-            last = next((one for one in solutions if one is not None), None)
+            with np.errstate(all="ignore"):  # far from a solution values overflow
+                last = next((one for one in solutions if one is not None), None)
             if last is None:
                 known = dict(zip(self.original.names, row.tolist(), strict=True))
                 raise InputError(
@@ -152,28 +155,46 @@ class Transformation(Shown):
 
     def _solved(self, start: np.ndarray, row: np.ndarray, time: float) -> np.ndarray | None:
         """The state whose old variables are a row; None if the iteration does not end there."""
-        dim, z, t = len(row), start.copy(), np.asarray(time)
-        room = _NEAR * max(float(np.abs(row).max()), 1e-300)
-        rest = self._values(z, t) - row
+        z, t = start.copy(), np.asarray(time)
         for _ in range(_ITERATIONS):
-            if np.abs(rest).max() <= room:
+            rest = self._values(z, t) - row
+            slopes = np.array([float(f(z, t)) for f in self._slopes]).reshape(len(z), -1)
+            room = self._room(z, row, np.abs(slopes))
+            excess = np.abs(rest) / room
+            if (excess <= 1).all():
                 return self._allowed(z)
-            with np.errstate(all="ignore"):
-                slopes = np.array([float(f(z, t)) for f in self._slopes])
             try:
-                step = np.linalg.solve(slopes.reshape(dim, dim), rest)
+                step = np.linalg.solve(slopes, rest)
             except np.linalg.LinAlgError:
                 return None
             # halved until the distance falls
             for halvings in range(12):
                 trial = z - step / 2**halvings
-                after = self._values(trial, t) - row
-                if np.abs(after).max() < np.abs(rest).max():
-                    z, rest = trial, after
+                after = np.abs(self._values(trial, t) - row) / room
+                if after.max() < excess.max():
+                    z = trial
                     break
             else:
-                return self._allowed(z) if np.abs(rest).max() <= 16 * room else None
+                return self._allowed(z) if (excess <= 16).all() else None
         return None
+
+    def _room(self, z: np.ndarray, row: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+        """Return the distance of each old variable that is round-off, shape (dim,).
+
+        Each has its own unit. Beside its own round-off it has that of z, which counts where terms
+        cancel, but no more than a share of its size and of those that depend on the same variables:
+        an angle of many turns has lost the digits of its direction.
+        """
+        sizes = np.where(self._related, np.abs(row), 0.0).max(axis=1)
+        most = _COARSE * (sizes + slopes @ np.minimum(np.abs(z), 1.0))
+        return _NEAR * np.abs(row) + np.minimum(_EPS * (slopes @ np.abs(z)), most) + _TINY
+
+    @cached_property
+    def _related(self) -> np.ndarray:
+        """Whether all new variables of an old one are among those of another, (other, one)."""
+        new = {*self.H.real_equations.z}
+        needs = [expression.free_symbols & new for expression in self._values.expressions]
+        return np.array([[one <= other for one in needs] for other in needs])
 
     def _allowed(self, z: np.ndarray) -> np.ndarray | None:
         """The state, unless a variable that is positive is not."""

@@ -198,6 +198,30 @@ def test_variables_that_are_positive_stay_so() -> None:
         assert r == pytest.approx(np.hypot(*z0[:2]))
 
 
+@pytest.mark.parametrize(
+    "sizes", [(1e11, 1e-8), (1e-11, 1e8), (1.5e11, 3e4), (1e5, 1e-12)], ids=str
+)
+def test_components_of_different_sizes_are_each_mapped_back(sizes: tuple[float, float]) -> None:
+    found = Hamiltonian(KEPLER).transformed(POLAR, positive="r")
+    random = np.random.default_rng(4)
+    for z0 in random.uniform(-2, 2, (4, 4)) * np.repeat(sizes, 2):
+        back = found.to_old(found.to_new(z0))
+        for pair in (slice(0, 2), slice(2, 4)):
+            np.testing.assert_allclose(
+                back[pair], z0[pair], rtol=0, atol=1e-9 * sizes[pair.start // 2]
+            )
+    on_axis = np.array([sizes[0], 0.0, 0.0, sizes[1]])
+    back = found.to_old(found.to_new(on_axis))
+    assert (np.abs(back - on_axis) <= 1e-9 * np.repeat(sizes, 2)).all()
+
+
+def test_angles_of_too_many_turns_are_no_solution() -> None:
+    found = Hamiltonian(KEPLER).transformed(POLAR, positive="r")
+    z0 = [1.0, 0.2, -0.1, 1.1]
+    with pytest.raises(InputError, match="no new variables are found for"):
+        found.to_new(z0, near={"phi": 1e22, "r": 1e10, "p_phi": 1.0, "p_r": 1.0})
+
+
 def test_states_without_new_variables() -> None:
     found = Hamiltonian(OSCILLATOR).transformed({"x": "exp(X)"})
     with pytest.raises(InputError, match="no new variables are found for"):
