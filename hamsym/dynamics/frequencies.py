@@ -42,6 +42,20 @@ _NEWTON = 30
 # Amplitudes below this part of the largest are round-off.
 _SMALLEST = 1e-13
 _ROUND_OFF = 1e-15
+# Times between the samples, as a share of their distance, at which the signal is compared with the
+# one band-limited function through the samples: no multiple of it is close to a whole number.
+_BETWEEN = 0.381966
+# Largest difference there, relative to the signal, at which samples of a solution are enough.
+_MISSED = 1e-6
+# Terms are known if their amplitude is larger than this many differences.
+_KNOWN = 4.0
+# Half of the width of a peak of the spectrum, in radians over half of the span, the places in it at
+# which the rest is measured, and the largest error of a maximum in it, 3 pi over the span.
+_PEAK, _PLACES, _RESOLUTION = 3 * math.pi, 25, 1.5 * math.pi
+# What is left in a peak, relative to the largest rest elsewhere, that comes from there.
+_LEAK = 0.1
+# Two terms that leave the part r of a maximum are closer to it than 4 or 5 sqrt(r): with a margin.
+_BLEND = 8.0
 
 
 @suggest_attributes
@@ -62,7 +76,9 @@ class Frequencies(Drawn, Shown):
     amplitude, phase : numpy.ndarray
         a_k > 0 in the units of the signal, and phi_k at t = 0, of the same shape.
     error : numpy.ndarray
-        Estimated errors of the frequencies, from shifts by neighbouring terms and the drift.
+        Estimated errors of the frequencies, from errors of the states, shifts by neighbouring
+        terms and the drift; up to 3 pi over the span where a peak may be two. Infinite where the
+        error of the states is not known, and of terms too small for the distance of saved states.
     drift : numpy.ndarray
         Difference of each frequency between the halves of the span: about the error on a torus,
         more in chaos.
@@ -119,7 +135,8 @@ def frequencies(
     Parameters
     ----------
     result : Solution, Trajectory or Solutions
-        Of a trajectory of :func:`hamsym.integrate` all saved states, at equal steps.
+        Of a trajectory of :func:`hamsym.integrate` all saved states, at equal steps. Without
+        ``tol`` its errors are not known, nor those of its frequencies.
     *signals : str, sympy.Expr, or pairs of these
         Components or formulas (:meth:`hamsym.Hamiltonian.observable`), of which a pair (f, g) is
         the complex signal f - i g. By default the pairs (q, c p) of H, with the ratio c of their
@@ -134,7 +151,7 @@ def frequencies(
     Raises
     ------
     InputError
-        If the result is none of these, or its states are not at equal steps.
+        If the result is none of these, or its states are not at equal steps or too far apart.
 
     Examples
     --------
@@ -165,7 +182,11 @@ def frequencies(
     failed = int((~good).sum())
     message = f"up to {count} frequencies of {', '.join(s.text for s in read)}"
     if failed:
-        message = f"{failed} of {good.size} trajectories have no frequency; {message}"
+        message = (
+            f"{failed} of {good.size} trajectories have no frequency with a known error; {message}"
+        )
+        if isinstance(result, Trajectory) and result.errors is None:
+            message += "; errors of the states are not known; integrate with tol"
     return Frequencies(
         tuple(signal.text for signal in read),
         frequency,
@@ -187,7 +208,7 @@ class Average(NamedTuple):
     """A time average and its estimated error."""
 
     value: float
-    error: float
+    error: float  # infinite if those of the states are not known
 
 
 @checked_keywords
@@ -196,7 +217,8 @@ def time_average(result: Solution | Trajectory, f: Any) -> Average:
 
     On quasi-periodic motion the weighted average converges faster than any power of the span (Das,
     Sander & Yorke 2017, Nonlinearity 30, 4111); in chaos like its square root. The average rate of
-    an angle is its rotation number. The error is estimated from the halves of the span.
+    an angle is its rotation number. The error is estimated from the halves of the span, from other
+    times, and from that of the states.
 
     Parameters
     ----------
@@ -216,87 +238,141 @@ def time_average(result: Solution | Trajectory, f: Any) -> Average:
     if source.shape:
         raise InputError("the average is that of one trajectory; take one of the ensemble")
     signal = _signal(source.H, f, scaled=False)
-    values = source.sampled((), signal, source.accuracy(()))[1].real
-    half = len(values) // 2
-    whole, first, second = (
-        _weighted(part) for part in (values, values[: half + 1], values[len(values) - half - 1 :])
-    )
-    return Average(whole, max(abs(first - whole), abs(second - whole), _ROUND_OFF * abs(whole)))
+    found = source.sampled((), signal)
+    values, half = found.values.real, len(found.values) // 2
+    whole = _weighted(values)
+    parts = _weighted(values[: half + 1]), _weighted(values[len(values) - half - 1 :])
+    away = np.abs([*parts, _weighted(found.between.real, _BETWEEN)] - np.array(whole)).max()
+    error = float(away) + found.error + _ROUND_OFF * abs(whole)
+    return Average(whole, error if error >= 0 else math.inf)
 
 
-def _weighted(values: np.ndarray) -> float:
-    x = np.linspace(0, 1, len(values))[1:-1]
-    weights = np.exp(-1 / (x * (1 - x)))
-    return float(weights @ values[1:-1] / weights.sum())
+def _weighted(values: np.ndarray, shift: float = 0.0) -> float:
+    """The weighted mean of values at equal steps; with a shift, of all but the last beside it."""
+    count = len(values) + (shift > 0)
+    x = (np.arange(len(values)) + shift) / (count - 1)
+    inside = (x > 0) & (x < 1)
+    weights = np.exp(-1 / (x[inside] * (1 - x[inside])))
+    return float(weights @ values[inside] / weights.sum())
 
 
 # -- signals ---------------------------------------------------------------------------------------
 
 
 class _Signal(NamedTuple):
-    """(z, t) -> values: complex where a pair is given, and scaled to equal sizes if asked."""
+    """f, or the complex f - i c g where a pair is given, with c = 1 unless it is scaled."""
 
     text: str
-    value: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    is_real: bool
+    first: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    second: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
+    is_scaled: bool = False
+
+    @property
+    def is_real(self) -> bool:
+        return self.second is None
+
+    def ratio(self, z: np.ndarray, t: np.ndarray) -> float:
+        """c, for equal sizes."""
+        if self.second is None or not self.is_scaled:
+            return 1.0
+        sizes = np.ptp(self.first(z, t)), np.ptp(self.second(z, t))
+        return float(sizes[0] / sizes[1]) if sizes[0] and sizes[1] else 1.0
+
+    def value(self, z: np.ndarray, t: np.ndarray, ratio: float) -> np.ndarray:
+        first = np.broadcast_to(np.asarray(self.first(z, t), dtype=float), t.shape)
+        return first if self.second is None else first - 1j * ratio * self.second(z, t)
+
+    def error(self, z: np.ndarray, t: np.ndarray, ratio: float, errors: np.ndarray) -> float:
+        """The largest change of the signal by errors of the components."""
+        values, change = self.value(z, t, ratio), np.zeros(len(t))
+        for component in np.eye(z.shape[1], dtype=bool):
+            moved = np.where(component, z + errors, z)
+            change += np.abs(self.value(moved, t, ratio) - values)
+        return float(np.nan_to_num(change, nan=np.inf, posinf=np.inf).max())
 
 
 def _signal(H: Hamiltonian, entry: Any, scaled: bool) -> _Signal:
     if not isinstance(entry, (tuple, list)):
         one = H.observable(entry)
-        return _Signal(one.text, one, is_real=True)
+        return _Signal(one.text, one)
     if len(entry) != 2:
         raise InputError(f"{entry!r} is no pair; give (f, g) for the signal f - i g")
     first, second = (H.observable(part) for part in entry)
-
-    def value(z: np.ndarray, t: np.ndarray) -> np.ndarray:
-        a, b = np.asarray(first(z, t), dtype=float), np.asarray(second(z, t), dtype=float)
-        sizes = (np.ptp(a), np.ptp(b)) if scaled else (1.0, 1.0)
-        return a - 1j * b * (sizes[0] / sizes[1] if sizes[0] and sizes[1] else 1.0)
-
     sign = "- i c" if scaled else "- i"
-    return _Signal(f"{first.text} {sign} {second.text}", value, is_real=False)
+    return _Signal(f"{first.text} {sign} {second.text}", first, second, scaled)
+
+
+class _Samples(NamedTuple):
+    """A signal at equal steps."""
+
+    times: np.ndarray
+    values: np.ndarray
+    #: At the times :data:`_BETWEEN` them, one fewer.
+    between: np.ndarray
+    #: Largest error of the values by that of the states.
+    error: float
+    #: Root mean square of what the values do not tell of those between, as with aliased terms.
+    missed: float
 
 
 @dataclass(frozen=True)
 class _Source:
-    """Trajectories of a result; ``states(place, count)`` has times and states at equal steps."""
+    """Trajectories of a result."""
 
     H: Hamiltonian
     z0: np.ndarray
     span: tuple[float, float]
     shape: tuple[int, ...]
-    states: Callable[[tuple[int, ...], int], tuple[np.ndarray, np.ndarray]]
-    #: Largest error of the states of a place, relative to their size.
-    accuracy: Callable[[tuple[int, ...]], float]
-    fixed: bool
+    #: (place, count) -> equal times, as many if there is a choice.
+    times: Callable[[int], np.ndarray]
+    #: (place, times) -> states.
+    states: Callable[[tuple[int, ...], np.ndarray], np.ndarray]
+    #: Largest error of each component at a place, shape (dim,).
+    errors: Callable[[tuple[int, ...]], np.ndarray]
 
-    def sampled(
-        self, place: tuple[int, ...], signal: _Signal, accuracy: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Times at equal steps and the signal there, as many as its spectrum needs."""
-        count, tail = _FEWEST, max(_TAIL, accuracy)
+    def sampled(self, place: tuple[int, ...], signal: _Signal) -> _Samples:
+        """The signal at equal steps, as many as its spectrum needs."""
+        count, errors = _FEWEST, self.errors(place)
         while True:
-            t, z = self.states(place, count)
-            values = np.asarray(signal.value(z, t))
-            if self.fixed or count >= _MOST or _is_resolved(values, tail):
-                return t, values
+            t = self.times(count)
+            z = self.states(place, t)
+            with np.errstate(all="ignore"):
+                ratio = signal.ratio(z, t)
+                values, error = signal.value(z, t, ratio), signal.error(z, t, ratio, errors)
+                later = t[:-1] + _BETWEEN * np.diff(t)
+                between = signal.value(self.states(place, later), later, ratio)
+                missed = _missed(values, between)
+            size = float(np.abs(values).max())
+            is_resolved = _is_resolved(values, max(_TAIL * size, error))
+            enough = is_resolved and missed <= max(_MISSED * size, error)
+            if len(t) != count or count >= _MOST or enough or not np.isfinite(values).all():
+                return _Samples(t, values, between, error, missed)
             count *= 2
+
+
+def _missed(values: np.ndarray, between: np.ndarray) -> float:
+    """The difference, with the window, of values and the band-limited function through others."""
+    count = len(values)
+    turns = np.exp(2j * np.pi * scipy.fft.fftfreq(count) * _BETWEEN)
+    told = scipy.fft.ifft(scipy.fft.fft(values * _window(count)) * turns)[:-1]
+    away = np.abs(told - between * _window(count, _BETWEEN)[:-1])
+    missed = np.sqrt(np.sum(away**2) / np.sum(_window(count) ** 2))
+    return float(missed) if missed >= 0 else math.inf
 
 
 def _is_resolved(values: np.ndarray, tail: float) -> bool:
     """Whether the spectrum has ended before its highest frequencies."""
-    if not np.isfinite(values).all():
-        return True
     spectrum = np.abs(scipy.fft.fft(values * _window(len(values))))
     middle, width = len(values) // 2, len(values) // 16
-    return bool(spectrum[middle - width : middle + width].max() <= tail * spectrum.max())
+    return bool(spectrum[middle - width : middle + width].max() <= tail)
 
 
-def _window(count: int) -> np.ndarray:
-    """The weights of a mean, (1 + cos(pi x))^n."""
-    weights = (1 + np.cos(np.pi * np.linspace(-1, 1, count))) ** _POWER
-    return np.asarray(weights / weights.sum())
+def _window(count: int, shift: float = 0.0) -> np.ndarray:
+    """The weights of a mean, (1 + cos(pi x))^n; with a shift, beside the places by this share."""
+    x = np.linspace(-1, 1, count)
+    weights = (1 + np.cos(np.pi * x)) ** _POWER
+    beside = (1 + np.cos(np.pi * (x + shift * (x[1] - x[0])))) ** _POWER if shift else weights
+    return np.asarray(beside / weights.sum())
 
 
 def _source_of(result: Any) -> _Source:
@@ -308,29 +384,19 @@ def _source_of(result: Any) -> _Source:
         def member(place: tuple[int, ...]) -> Solution:
             return result[place] if isinstance(result, Solutions) else result
 
-        def states(place: tuple[int, ...], count: int) -> tuple[np.ndarray, np.ndarray]:
-            t = np.linspace(*result.span, count)
-            return t, np.asarray(member(place)(t))
-
         return _Source(
             result.H,
             np.asarray(result.z0),
             result.span,
             result.shape if isinstance(result, Solutions) else (),
-            states,
-            lambda place: _accuracy(member(place)),
-            fixed=False,
+            lambda count: np.linspace(*result.span, count),
+            lambda place, t: np.asarray(member(place)(t)),
+            lambda place: np.asarray(member(place).largest_error),
         )
     raise InputError(
         f"frequencies are those of a Solution, a Trajectory or Solutions, not of a "
         f"{type(result).__name__}"
     )
-
-
-def _accuracy(solution: Solution) -> float:
-    with np.errstate(all="ignore"):
-        shares = np.asarray(solution.largest_error) / np.asarray(solution.scale)
-    return float(np.max(shares[np.asarray(solution.scale) > 0], initial=0.0))
 
 
 def _source_of_trajectory(result: Trajectory) -> _Source:
@@ -341,13 +407,17 @@ def _source_of_trajectory(result: Trajectory) -> _Source:
             "the states are not at equal steps, or fewer than 64; integrate with saves= equal times"
         )
     z = np.asarray(result.z)
-    shape = z.shape[:-2]
+    between = np.asarray(result(t[:-1] + _BETWEEN * steps))  # refused where they are too far apart
+    errors = result.largest_error
 
-    def states(place: tuple[int, ...], count: int) -> tuple[np.ndarray, np.ndarray]:
-        return t, z[place]
+    def states(place: tuple[int, ...], times: np.ndarray) -> np.ndarray:
+        return np.asarray((z if len(times) == len(t) else between)[place])
+
+    def of_states(place: tuple[int, ...]) -> np.ndarray:
+        return np.full(z.shape[-1], math.inf) if errors is None else np.asarray(errors[place])
 
     span = (float(t[0]), float(t[-1]))
-    return _Source(result.H, z[..., 0, :], span, shape, states, lambda _: 0.0, fixed=True)
+    return _Source(result.H, z[..., 0, :], span, z.shape[:-2], lambda _: t, states, of_states)
 
 
 # -- analysis --------------------------------------------------------------------------------------
@@ -357,8 +427,7 @@ def _analysed(
     source: _Source, place: tuple[int, ...], signal: _Signal, count: int
 ) -> tuple[np.ndarray, float]:
     """Rows frequency, amplitude, phase, error and drift of the terms found, and the rest."""
-    accuracy = source.accuracy(place)
-    times, values = source.sampled(place, signal, accuracy)
+    times, values, _, of_states, missed = source.sampled(place, signal)
     if not np.isfinite(values).all():
         return np.empty((5, 0)), math.nan
     if times[0] > times[-1]:
@@ -382,11 +451,12 @@ def _analysed(
     )
     drift, away = np.ptp(halves, axis=1), np.abs(halves - omega[:, None]).max(axis=1)
     sizes = np.abs(corrected.amplitude)
-    size = float(sizes.max())
     # Terms that are not found shift the maxima of the halves more than those of the whole. The
     # error of the states acts as a change of the phase over the span.
-    error = np.abs(shifts) + away + accuracy * size / sizes
+    error = np.abs(shifts) + away + of_states / sizes
     error += _ROUND_OFF * (1 + np.abs(omega))
+    error = np.maximum(error, _blends(rest, corrected, elapsed, of_states))
+    error[~(sizes > _KNOWN * missed)] = math.inf
     phase = np.angle(corrected.amplitude) - omega * middle / half
     rows = np.array(
         [
@@ -401,6 +471,30 @@ def _analysed(
     order = np.argsort(-rows[1], kind="stable")
     spread = float(np.sqrt(np.mean(np.abs(values) ** 2))) or 1.0
     return rows[:, order], float(np.sqrt(np.mean(np.abs(rest) ** 2))) / spread
+
+
+def _blends(rest: np.ndarray, terms: _Terms, elapsed: np.ndarray, floor: float) -> np.ndarray:
+    """Errors of frequencies whose peaks may be those of several terms, shape (terms,).
+
+    Two terms closer than a peak is wide have one maximum, the same on all symmetric parts of the
+    span. They differ from one term by what is left in the peak.
+
+    - floor: What errors of the signal leave.
+    """
+    weights = _window(len(rest))
+    elsewhere = float(np.abs(scipy.fft.fft(rest * weights)).max())
+    found = np.zeros(len(terms.omega))
+    for k, omega in enumerate(terms.omega):
+        near = np.flatnonzero(np.abs(terms.omega - omega) < _PEAK)
+        others = [terms.term(int(j), elapsed) for j in near if j != k]
+        left = rest + np.sum(others, axis=0)
+        places = omega + np.linspace(-_PEAK, _PEAK, _PLACES)
+        largest = float(np.abs(np.exp(-1j * places[:, None] * elapsed) @ (left * weights)).max())
+        if largest > floor and (len(near) > 1 or largest > _LEAK * elsewhere):
+            found[k] = _BLEND * np.sqrt(largest / np.abs(terms.amplitude[k]))
+        if terms.is_real and 0 < 2 * abs(omega) < _PEAK:  # as close to its negative
+            found[k] = _RESOLUTION
+    return np.minimum(found, _RESOLUTION)
 
 
 def _halves(values: np.ndarray, elapsed: np.ndarray, omega: float) -> Iterator[float]:

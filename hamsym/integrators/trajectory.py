@@ -373,7 +373,9 @@ class Trajectory(Drawn, Saved):
 
         Examples
         --------
-        >>> trajectory = hamsym.integrate("p**2/2 + 2*x**2", [1, 0], (0, 100), dt=0.01)
+        >>> trajectory = hamsym.integrate(
+        ...     "p**2/2 + 2*x**2", [1, 0], (0, 100), tol=1e-9, saves=1000
+        ... )
         >>> trajectory.frequencies("x").frequency[0, :1].round(6)
         array([2.])
         """

@@ -11,6 +11,7 @@ from scipy.special import ellipk
 import hamsym
 from hamsym import Hamiltonian, InputError
 
+OSCILLATOR = "p**2/2 + x**2/2"
 OSCILLATORS = "1.7*(p_1**2 + q_1**2)/2 + 0.6*(p_2**2 + q_2**2)/2"
 
 
@@ -56,8 +57,10 @@ def test_pendulum_has_the_odd_multiples_of_its_frequency() -> None:
 
 
 def test_pairs_of_oscillators_have_one_term_each() -> None:
-    trajectory = hamsym.integrate(OSCILLATORS, [1, 0.5, 0, 0.3], (0, 300), dt=0.02)
+    trajectory = hamsym.integrate(OSCILLATORS, [1, 0.5, 0, 0.3], (0, 300), tol=1e-9, saves=2000)
     found = trajectory.frequencies()
+    assert found.success
+    assert (np.abs(found.frequency[:, 0] - [1.7, 0.6]) <= found.error[:, 0]).all()
     np.testing.assert_allclose(found.frequency[:, 0], [1.7, 0.6], atol=1e-8)
     assert found.signals == ("q_1 - i c p_1", "q_2 - i c p_2")
     assert (found.rest < 1e-7).all()
@@ -73,6 +76,61 @@ def test_backward_time_and_a_mean_value() -> None:
         t = np.linspace(*found.span, 50)
         exact = 3 + 0.5 * np.cos(2 * t) + 0.1 * np.sin(2 * t)
         assert np.abs(found(t)[:, 0].real - exact).max() < 1e-6
+
+
+def test_steps_without_a_known_error_give_no_frequency_with_an_error() -> None:
+    steps = hamsym.integrate(OSCILLATOR, [1, 0], (0, 200), "stormer_verlet", dt=0.1)
+    found = steps.frequencies("x")  # 1.000417, not 1
+    assert not found.success
+    assert "1 of 1 trajectories have no frequency" in found.message
+    assert "integrate with tol" in found.message
+    assert np.isinf(found.error[0, 0])
+    assert hamsym.time_average(steps, "x**2").error == np.inf
+    loose = hamsym.integrate(OSCILLATOR, [1, 0], (0, 200), tol=1e-3, saves=1000)
+    assert loose.largest_error is not None
+    found = loose.frequencies("x")
+    assert found.success
+    assert found.error[0, 0] > 1e-3 * loose.largest_error[0]
+    average = hamsym.time_average(loose, "x**2")
+    assert abs(average.value - 0.5) <= average.error
+
+
+@pytest.mark.parametrize("saves", [1000, 1592, 796])  # 5 rad from one to the next, 2 pi / 2, 2 pi
+def test_saved_states_too_far_apart_have_no_frequencies(saves: int) -> None:
+    fast = hamsym.integrate("p**2/2 + 1250*x**2", [1, 0], (0, 100), tol=1e-9, saves=saves)
+    for compute in (hamsym.frequencies, hamsym.time_average):
+        with pytest.raises(InputError, match="too far apart"):
+            compute(fast, "x")
+
+
+def test_terms_too_fast_for_the_saved_states_have_no_error() -> None:
+    fast = hamsym.integrate("p**2/2 + 1250*x**2", [1, 0], (0, 100), tol=1e-9, saves=5400)
+    assert fast.frequencies("x").success  # 0.93 rad from one to the next; of x**8 7.4
+    found = fast.frequencies("x**8", count=8)
+    wrong = np.abs(found.frequency[0, :, None] - 100 * np.arange(5)).min(axis=1) > 1e-6
+    assert wrong.any()
+    assert np.isinf(found.error[0, wrong]).all()
+    average = hamsym.time_average(fast, "x**8")
+    assert abs(average.value - 35 / 128) <= average.error
+
+
+def test_solutions_are_sampled_until_no_term_is_aliased() -> None:
+    rate = 2047 * 2 * np.pi / 40  # one turn between 2,048 equal times
+    solution = hamsym.solve(f"{rate!r}*(p**2 + x**2)/2", [1, 0], (0, 40), tol=1e-6)
+    found = solution.frequencies("x")
+    assert found.success
+    assert abs(found.frequency[0, 0] - rate) <= found.error[0, 0] < 1e-3
+
+
+@pytest.mark.parametrize("span", [40, 60, 80, 100, 125])
+def test_two_terms_in_one_peak_are_within_its_error(span: float) -> None:
+    t = -span / 2  # both phases are zero in the middle, so that no drift shows
+    z0 = [np.cos(t), np.cos(1.05 * t), -np.sin(t), -1.05 * np.sin(1.05 * t)]
+    H = "(p_x**2 + x**2)/2 + (p_y**2 + 1.1025*y**2)/2"
+    found = hamsym.solve(H, z0, (t, -t)).frequencies("x + y")
+    for frequency, error in zip(found.frequency[0], found.error[0], strict=True):
+        if np.isfinite(frequency):
+            assert np.abs(frequency - [1.0, 1.05]).min() <= error
 
 
 def test_drift_separates_chaos_from_order() -> None:
