@@ -3,7 +3,7 @@
 1. Solutions at random points of the box, at its corners and on its faces, none of them used to
    build the map, are compared with it at random times.
 2. So are solutions from places where H may have a narrow feature
-   (:mod:`hamsym.flow_maps.narrow_places`). A map that misses one is refused.
+   (:mod:`hamsym.flow_maps.narrow_places`), at its times too. A map that misses one is refused.
 3. Around the worst points found, an adversarial search looks for worse ones.
 4. The linear equation of the error (the paper's eq. ell) is solved from the residual of the map, at
    random points and at the worst ones found.
@@ -135,13 +135,17 @@ class _Search:
         self.of_solutions = np.zeros(box.H.dim)
         self.failure = ""
 
-    def compare(self, y: np.ndarray) -> None:
-        """Compare the map with solutions from scaled inputs, at random times and at the end."""
+    def compare(self, y: np.ndarray, also: np.ndarray | tuple[()] = ()) -> None:
+        """Compare the map with solutions from scaled inputs, at random times and at the end.
+
+        - also: Further scaled times.
+        """
         inputs = self._box.at(y)
         solutions = self._solve(self._box.states(inputs), self._box.values(inputs), self._span)
         start, end = self._span
         steps = np.arange(_TIMES) + self._random.random(_TIMES)
-        times = np.append(start + (end - start) * steps / _TIMES, end)
+        shares = np.concatenate((steps / _TIMES, (np.asarray(also) + 1) / 2))
+        times = np.append(start + (end - start) * np.sort(shares), end)
         exact = solutions(times)
         count = len(times)
         found = self._map.evaluate(np.tile(times, len(y)), inputs.repeat(count, axis=0))
@@ -158,12 +162,15 @@ class _Search:
         self.largest = np.maximum(self.largest, difference.max(axis=(0, 1)))
         self.of_solutions = np.maximum(self.of_solutions, solutions.largest_error.max(axis=0))
 
-    def compare_narrow(self, y: np.ndarray) -> None:
-        """Compare at places of narrow features; a map that differs there only misses them."""
-        if not len(y):
+    def compare_narrow(self, places: np.ndarray) -> None:
+        """Compare at places of narrow features; a map that differs there only misses them.
+
+        - places: Scaled times and inputs, shape (n, 1 + d): what a feature does may have an end.
+        """
+        if not len(places):
             return
-        others = self.ratios.max()
-        self.compare(y)
+        others, y = self.ratios.max(), places[:, 1:]
+        self.compare(y, also=np.unique(places[:, 0]))
         ratios = self.ratios[-len(y) :]
         if not (self.failure or ratios.max() <= max(1.0, _NARROW * others)):
             place = self._box.described(self._box.at(y[ratios.argmax()]))

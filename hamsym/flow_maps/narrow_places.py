@@ -35,10 +35,10 @@ _FIRST, _LONGER, _SHORTER = 0.3, 1.6, 0.6  # steps of the search
 def narrow_places(
     map: Any, box: Box, span: tuple[float, float], random: np.random.Generator
 ) -> np.ndarray:
-    """Return scaled inputs in and beside places of such features, shape (n, d)."""
+    """Return scaled times and inputs in and beside such features, shape (n, 1 + d)."""
     search = _Search(map, box, span, random)
     if not search.kinds:
-        return np.empty((0, len(box)))
+        return np.empty((0, 1 + len(box)))
     with np.errstate(all="ignore"):
         return search.places()
 
@@ -79,12 +79,12 @@ class _Search:
         return np.concatenate((self._of_H(known, times), self._of_starts(inputs)), axis=1)
 
     def places(self) -> np.ndarray:
-        """Return scaled inputs at the zeros and extrema, and beside them."""
+        """Return scaled times and inputs at the zeros and extrema, and beside them."""
         d = len(self._box)
         samples = random_places(self._random, _SAMPLES, d + 1, _AT_END)
         aims = self._aims(self._arguments(samples))
         if not aims:
-            return np.empty((0, d))
+            return np.empty((0, d + 1))
         searches = max(1, min(_SEARCHES, _MOST // len(aims)))
         self._aim = np.repeat(np.array(aims), searches, axis=0)
         # The best of some samples each, so that searches end at different zeros and extrema.
@@ -106,7 +106,7 @@ class _Search:
             path_heights.append(found[np.arange(len(y)), chosen])
             step = np.where(chosen > 0, np.minimum(_LONGER * step, _FIRST), _SHORTER * step)
         beside = self._beside(np.stack(path_heights))
-        return np.concatenate((y, np.stack(path)[beside, np.arange(len(y))]))[:, 1:]
+        return np.concatenate((y, np.stack(path)[beside, np.arange(len(y))]))
 
     def _aims(self, g: np.ndarray) -> list[tuple[int, int]]:
         """Return arguments to search, each with -1 for a maximum, 1 for a minimum, 0 for a zero."""

@@ -254,6 +254,16 @@ def test_narrow_feature_of_combined_inputs_is_refused() -> None:
     assert abs(a + 1000 * b - 300.37) < 1e-5
 
 
+@pytest.mark.slow
+def test_narrow_feature_that_is_taken_back_is_refused() -> None:
+    kick = "x*2e8*(t - 0.345678)*exp(-((t - 0.345678)/1e-4)**2)"  # p is as before 1e-3 later
+    H = f"p**2/2 + x**2/2 + {kick}"
+    flow = flow_map(H, {"x": (1.0, 1.1), "p": (0.0, 0.1)}, (0, 1), points=100, tol=1e-2)
+    assert not flow.success
+    assert "a narrow feature of H at " in flow.message
+    assert abs(flow.judgement.worst_time - 0.345678) < 1e-3
+
+
 def test_narrow_feature_outside_the_box_is_passed_over() -> None:
     H = "p**2/2 + x**2/2 - 1e4*x*exp(-((k - 1.37)/1e-6)**2)"
     flow = flow_map(H, {"x": 1.5, "p": 0}, (0, 1), {"k": (0, 1)}, points=100, tol=1e-4)
