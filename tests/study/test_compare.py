@@ -295,6 +295,20 @@ def test_errors_below_that_of_dop853_are_against_an_enclosure() -> None:
     assert comparison.matches["gauss6"].steps is not None
 
 
+def test_references_that_miss_a_pulse_have_no_error() -> None:
+    width, late = 1e-5, 0.7655  # since a kick of p by -1/2 at t = 1.2345
+    H = f"p**2/2 + x**2/2 + {0.5 / (width * math.sqrt(math.pi))}*x*exp(-((t - 1.2345)/{width})**2)"
+    solution = hamsym.solve(H, [1, 0], (0, 2), tol=1e-8)
+    x, p = np.cos(1.2345), -np.sin(1.2345) - 0.5
+    true = [x * np.cos(late) + p * np.sin(late), p * np.cos(late) - x * np.sin(late)]
+    np.testing.assert_allclose(solution(2.0), true, atol=1e-4)
+    comparison = hamsym.compare(solution, "blanes_moan6", max_steps=1_000)
+    wrong = np.abs(comparison.reference(np.array([2.0]))[0] - true).max()
+    assert wrong < comparison.reference_error
+    assert not comparison.reference.judges(comparison.rows[0].error)
+    assert "whose error is not known" in comparison.summary().replace("\n", " ")
+
+
 def test_enclosures_are_references_of_motions_that_run_backwards() -> None:
     problem = harmonic_oscillator()
     solution = hamsym.solve(problem.H, problem.z0, (0, -5), tol=1e-10)
