@@ -22,6 +22,7 @@ from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.networks import levenberg_marquardt, optimizers
 from hamsym.networks.devices import available_device
+from hamsym.networks.hidden_residual import hidden_residual
 from hamsym.networks.methods import LBFGS, Adam, JointTraining, LevenbergMarquardt, SSBroyden
 from hamsym.networks.module_trial import ModuleTrial, checked_copy, rate_defect
 from hamsym.networks.network import ComponentNetworks, Network
@@ -279,15 +280,18 @@ def _judged(solution: Solution, training: Training, method: JointTraining) -> So
         )
     rule = _ended_by(solution, training, method)
     state = f"{done}{rule}, loss {training.best_loss:.2e}, ell_max {solution.ell_max:.2e}"
-    interrupted = training.stopped == Stopped.INTERRUPTED
+    jump, doubt = None, ""
+    if training.stopped == Stopped.INTERRUPTED:
+        doubt = "interrupted"
+    elif excess(solution) <= 1:
+        # Estimated errors are not valid beyond a discontinuity of H, nor across a pulse.
+        jump = first_jump(solution, solution.scan_times, unresolved(solution))
+        doubt = "" if jump else hidden_residual(solution)
     return accepted(
         solution,
         state,
-        # Estimated errors are not valid beyond a discontinuity of H.
-        jump=None
-        if interrupted or not excess(solution) <= 1
-        else first_jump(solution, solution.scan_times, unresolved(solution)),
-        doubt="interrupted" if interrupted else "",
+        jump=jump,
+        doubt=doubt,
         cause="the network could not be made accurate enough",
     )
 

@@ -316,3 +316,29 @@ def test_network_across_potential_step_fails(tol: float | None) -> None:
     assert solution.relative_error < 0.005  # of an equation without the force of the step
     assert not solution.success
     assert re.match(r"H jumps at t = 0\.(49|5)\d*, beyond which", solution.message)
+
+
+@pytest.mark.parametrize(
+    "method",
+    [
+        hamsym.LevenbergMarquardt(hidden=(20,)),
+        pytest.param(hamsym.LBFGS(iterations=800), marks=pytest.mark.slow),
+        pytest.param(hamsym.SSBroyden(iterations=800), marks=pytest.mark.slow),
+    ],
+    ids=lambda method: method.name,
+)
+def test_pulses_between_all_sampled_times_are_refused(method: JointTraining) -> None:
+    time, width = 0.234567, 1e-6  # p changes by -1/2 at once
+    pulse = f"{0.5 / (width * math.sqrt(math.pi))}*x*exp(-((t - {time})/{width})**2)"
+    solution = hamsym.solve(f"p**2/2 + x**2/2 + {pulse}", [1, 0], (0, 1), method=method, tol=1e-2)
+    assert not solution.success
+    assert "near t = 0.23456" in solution.message
+    assert "a narrow pulse" in solution.message
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [0.02, 0.1])
+def test_resolved_pulses_are_not_refused(width: float) -> None:
+    H = f"p**2/2 + x**2/2 - x*exp(-((t - 1.2)/{width})**2)"
+    method = hamsym.LevenbergMarquardt()
+    assert hamsym.solve(H, [1, 0], (0, 3), method=method, tol=1e-2).success
