@@ -13,13 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hamsym.errors import InputError
 from hamsym.integrators.coefficients import Scheme, Splitting
 from hamsym.integrators.hidden_features import Hidden, Path, hidden_features
 from hamsym.integrators.richardson import Extrapolation, extrapolate, perturb
 from hamsym.integrators.stepper import Stepper
-from hamsym.integrators.table import INTEGRATORS
+from hamsym.integrators.table import INTEGRATORS, usual_method
 from hamsym.integrators.trajectory import Verdicts
-from hamsym.numerics.scales import SMALLEST, coupled_sizes
+from hamsym.numerics.scales import SMALLEST, coupled_sizes, ratios
 from hamsym.problems.ensemble import Ensemble
 
 #: Change of H in units of the change that the tolerance allows, at which a trajectory fails; errors
@@ -34,6 +35,9 @@ _SAMPLES = 5
 _MIDDLE_SAVES = 64
 # Most perturbations between two of these times; each costs a call of the loop.
 _PERTURBED = 8
+# Most states at which the change of the force with time is evaluated, and the irrational part of
+# their distance by which their places between equal distances differ.
+_TIMES, _GOLDEN = 4096, (math.sqrt(5) - 1) / 2
 # Rounding errors of a step in units of the last place: of implicit methods, which stop iterating
 # there, and of splitting methods without and with compensated summation.
 _ROUNDING = {"implicit": 4.0, "plain": 8.0, "compensated": 0.25}
@@ -64,6 +68,17 @@ class Tolerated:
     def verdicts(self) -> Verdicts:
         """The verdicts without the trajectories."""
         return Verdicts(self.steps, self.largest, self.problems, self.tol)
+
+
+def _saved_times(span: tuple[float, float], saves: int) -> np.ndarray:
+    """Return equally spaced times, shape (saves + 1,); raise InputError if rounding joins some."""
+    times = np.linspace(*span, saves + 1)
+    if not (np.diff(times) * np.sign(span[1] - span[0]) > 0).all():
+        raise InputError(
+            f"saves={saves} gives equal saved times: float64 has too few numbers from {span[0]!r} "
+            f"to {span[1]!r}; give fewer saves, a longer span, or times nearer zero"
+        )
+    return times
 
 
 class Round(NamedTuple):
@@ -108,6 +123,11 @@ class ComparedRuns:
         self.sampled = saves * math.ceil(_SAMPLES / saves)
         #: The compared times at which states are returned.
         self.kept = slice(None, None, self.sampled // saves)
+        self.times = _saved_times(span, saves)
+        exact = (span[1] - span[0]) * np.linspace(0.0, 1.0, saves + 1)
+        #: What rounding adds to the saved times, where it is more than the round-off of the span.
+        self._shifts = (self.times - span[0]) - exact
+        self._shifts[np.abs(self._shifts) <= 2 * _EPS * abs(span[1] - span[0])] = 0.0
         self._hidden = hidden_features(members.H)
         self.system = members.H.compile("numpy")
         #: Whether each member is summed with compensation; equal for members of one comparison.
@@ -149,7 +169,8 @@ class ComparedRuns:
             self._rounding(rows),
             self._least(rows, dense),
         )
-        states = found.states[:, self.kept]
+        states, moved = self._at_saved_times(rows, found.states[:, self.kept], 4 * coarse)
+        evaluations += moved
         changes = self._energy_changes(rows, states, found.sizes, 4 * coarse)
         agree = found.errors[:, -1] <= self.tol
         # What is missed, or is round-off of the force in which the runs agree, grows as the
@@ -164,7 +185,10 @@ class ComparedRuns:
                 ((self.tol - error) / growth)[:, None] * found.sizes,
                 error[:, None] * found.sizes,
             )
-            shares = np.where(hidden.rounding == 0, 0.0, hidden.rounding / found.sizes)
+            shares = ratios(hidden.rounding, found.sizes)
+            shares[agree] += ratios(
+                self._of_times(rows[agree], dense[agree], coarse), found.sizes[agree]
+            )
         rounding = np.where(agree, shares.max(axis=1) * growth, 0.0)
         found.add_round_off(rounding)
         return Round(*(rows, coarse, states, found, finite, changes, hidden, rounding, evaluations))
@@ -187,6 +211,61 @@ class ComparedRuns:
                 found = coupled_sizes(np.abs(path[i]).max(axis=0), coupling.mean(axis=0), length)
             least[i] = np.where(np.isfinite(found), SMALLEST * found, 0.0)
         return least
+
+    def _at_saved_times(
+        self, rows: np.ndarray, states: np.ndarray, steps: int
+    ) -> tuple[np.ndarray, int]:
+        """Move states from the ends of equal intervals to the saved times, which are rounded.
+
+        Return them and the number of evaluations. The steps are at most an eighth of those of the
+        finest run, of the sixth order whatever the method.
+
+        - steps: Of the finest run.
+        """
+        at = np.flatnonzero(self._shifts)
+        if not len(at):
+            return states, 0
+        longest, length = float(np.abs(self._shifts).max()), abs(self.span[1] - self.span[0])
+        count = max(1, math.ceil(8 * steps * longest / length))
+        times, sizes = self.times[at] - self._shifts[at], self._shifts[at] / count
+        stepper = Stepper(
+            self.members.H,
+            usual_method(self.members.H),
+            states[:, at].reshape(-1, states.shape[2]),
+            np.tile(times, len(rows)),
+            np.tile(sizes, len(rows)),
+            parameters=np.repeat(self.members.parameters[rows], len(at), axis=0),
+        )
+        moved = states.copy()
+        moved[:, at] = stepper.step(count).reshape(len(rows), len(at), -1)
+        return moved, stepper.evaluations
+
+    def _of_times(self, rows: np.ndarray, path: np.ndarray, coarse: int) -> np.ndarray:
+        """Effect of the rounding of the times at which rates are evaluated, shape (n, dim).
+
+        A shift of all times changes the states by what they move in it. Errors that differ between
+        steps add up as independent ones do.
+
+        - path: States of the middle run, shape (n, times, dim).
+        """
+        if not self.system.time_dependent:
+            return np.zeros((len(rows), path.shape[2]))
+        start, end = self.span
+        # At equal distances a periodic force may always have the same phase.
+        number = np.arange(min(path.shape[1] - 1, _TIMES))
+        places = (number + number * _GOLDEN % 1) / len(number)
+        z = path[:, (places * (path.shape[1] - 1)).astype(int)].transpose(1, 0, 2)
+        times = start + (end - start) * places
+        rounded = _EPS * max(abs(start), abs(end))
+        shifts = np.copysign(4 * rounded, (start + end) / 2 - times)  # into the span
+        given = self.members.own_parameters(rows)
+        with np.errstate(all="ignore"):
+            rates = self.system.at("vector_field", z, times[:, None], given)
+            moved = self.system.at("vector_field", z, (times + shifts)[:, None], given)
+            changes = np.sqrt(np.mean(((moved - rates) / 4) ** 2, axis=0))
+            largest = rounded / 2 * np.abs(rates).max(axis=0)
+        found = abs(end - start) * changes / math.sqrt(coarse) + largest
+        return np.where(np.isnan(found), np.inf, found)
 
     def _hidden_features(
         self,

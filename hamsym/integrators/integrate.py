@@ -141,7 +141,8 @@ def integrate(
     ------
     InputError
         If an argument is invalid, the method needs a separable H and H is not separable, the
-        result does not fit into memory, or the automatic number of steps exceeds its limit.
+        result does not fit into memory, rounding makes saved times equal, or the automatic number
+        of steps exceeds its limit.
 
     Examples
     --------

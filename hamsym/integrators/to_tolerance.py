@@ -12,7 +12,8 @@ follows from the estimate and the order. Trajectories with equal n are integrate
 Three runs can agree on what all of them miss. A trajectory therefore succeeds only if, in addition,
 H is conserved as far as the tolerance requires, and the force has no feature that the steps do not
 resolve (:mod:`hamsym.integrators.hidden_features`). What the round-off of the force
-may change at its narrow features, where the runs can agree in it, is part of the error. Everything
+may change at its narrow features, where the runs can agree in it, and that of the times at which it
+is evaluated, are part of the error. States belong to the saved times as rounded. Everything
 that is decided about a trajectory depends on that trajectory alone, so that a member that fails
 changes no bit of the others.
 """
@@ -71,8 +72,9 @@ def integrate_to_tolerance(
 ) -> Trajectory:
     """Integrate every member until its estimated error is at most tol."""
     require_memory(2 * saves, members)  # states and error estimates
-    began, times = time.perf_counter(), np.linspace(*span, saves + 1)
+    began = time.perf_counter()
     runs = ComparedRuns(members, name, span, tol, saves, compensated)
+    times = runs.times
     found = ToleranceSearch(runs, saves).run(progress)
     found.tol = tol
     drifts, _ = invariant_drifts(members, known, found.z, times, found, tol)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 import signal
 
+import mpmath
 import numpy as np
 import pytest
 import scipy.integrate
@@ -455,6 +456,53 @@ def test_given_steps_over_a_pole_are_refused() -> None:
     assert "the force has a feature, for example a pulse or a pole" in found.message
     found = hamsym.integrate(H, ellipse(0.6), (0, 6), "stormer_verlet", steps=2_000)
     assert found.success is True
+
+
+# -- late times ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", ["blanes_moan6", "stormer_verlet"])
+@pytest.mark.parametrize("length", [0.02, -0.02])
+def test_states_belong_to_the_rounded_times(method: str, length: float) -> None:
+    """Seconds since 1970 are rounded by up to 1e-7, in which the phase changes by 1e-4."""
+    start, tol = 1.7e9, 1e-7
+    H = Hamiltonian("p**2/2 + w**2*x**2/2", parameters={"w": 1e3})
+    starts = [[1.0, 0.0], [0.0, 1e3], [np.nan, 0.0]]
+    found = hamsym.integrate(H, starts, (start, start + length), method, tol=tol, saves=30)
+    assert np.ptp(np.diff(found.t)) > 1e-7
+    assert found.success.tolist() == [True, True, False]
+    for member, first in enumerate((0.0, np.pi / 2)):
+        phase = 1e3 * (found.t - start) - first
+        exact = np.column_stack((np.cos(phase), -1e3 * np.sin(phase)))
+        assert (np.abs(found.z[member] - exact) <= [tol, 1e3 * tol]).all()
+
+
+def test_saved_times_that_rounding_makes_equal_are_refused() -> None:
+    for span in ((1e6, 1e6 + 1e-9), (1e6 + 1e-9, 1e6), (1.0, 1.0 + 2.3e-16)):
+        with pytest.raises(InputError, match="saves=20 gives equal saved times"):
+            hamsym.integrate(PENDULUM, [1.0, 0.0], span, tol=1e-6, saves=20)
+    assert hamsym.integrate(PENDULUM, [1.0, 0.0], (1e6, 1e6 + 1e-9), tol=1e-6, saves=2).success
+
+
+@pytest.mark.parametrize(("force", "frequency", "success"), [(1e6, 1e3, False), (1.0, 3.0, True)])
+def test_rounding_of_late_times_is_part_of_the_error(
+    force: float, frequency: float, success: bool
+) -> None:
+    """The time is rounded to 1e-10 wherever the force is evaluated; it turns 1e9 times as fast."""
+    given = {"F": force, "w": frequency}
+    H = Hamiltonian("p**2/2 + x**2/2 + F*x*cos(w*t)", parameters=given)
+    start, tol = 1e6, 1e-9 if not success else 1e-7
+    found = hamsym.integrate(H, [1.0, 0.0], (start, start + 1), tol=tol, saves=8)
+    with mpmath.workdps(40):
+        F, w, begin = mpmath.mpf(force), mpmath.mpf(frequency), mpmath.mpf(start)
+        A, exact = -F / (1 - w**2), []
+        a, b = 1 - A * mpmath.cos(w * begin), A * w * mpmath.sin(w * begin)
+        for t in found.t.tolist():
+            c, s = mpmath.cos(t - begin), mpmath.sin(t - begin)
+            x = a * c + b * s + A * mpmath.cos(w * t)
+            exact.append([float(x), float(b * c - a * s - A * w * mpmath.sin(w * t))])
+    assert found.success is success
+    assert (np.abs(found.z - np.array(exact)) <= found.errors).all()
 
 
 # -- extrapolation -------------------------------------------------------------------------------
