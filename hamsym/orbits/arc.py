@@ -89,9 +89,18 @@ class Arc:
 
     def at(self, fraction: np.ndarray) -> np.ndarray:
         """Evaluate states at fractions of the arc, shape (n,) -> (n, dim)."""
-        window, s = locate(self.edges, fraction)
+        return self._inside(*locate(self.edges, fraction))
+
+    def at_shares(self, share: Pair) -> np.ndarray:
+        """Evaluate states at fractions of the arc times the period, shape (n,) -> (n, dim)."""
+        window, _ = locate(self.edges, share.high / self.period)
+        since = share - self.edges[window] * Pair(self.period)
+        return self._inside(window, since.high / (np.diff(self.edges)[window] * self.period))
+
+    def _inside(self, window: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Evaluate states at places in [0, 1] of windows, shapes (n,) and (n,) -> (n, dim)."""
         rule = collocation(self.values.shape[1])
-        found = np.empty((len(fraction), self.ends.shape[1]))
+        found = np.empty((len(s), self.ends.shape[1]))
         for k in np.unique(window):
             rows = window == k
             found[rows] = rule.interpolation(s[rows]) @ self.values[k]

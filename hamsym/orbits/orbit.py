@@ -15,6 +15,7 @@ import hamsym
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.numerics.collocation import collocation
+from hamsym.numerics.pairs import Pair
 from hamsym.numerics.scales import floored_sizes
 from hamsym.numerics.symplectic import symplectic_inverse
 from hamsym.orbits.arc import Arc, Problem, vector_field_at
@@ -71,8 +72,8 @@ class PeriodicOrbit(Drawn, Saved):
         Whether the estimated error is within the tolerance.
     message : str
     relative_error : float
-        Estimated error of the states and of the period, relative to the largest size of each
-        component and to the period.
+        Estimated error of the states, also at the times in a period, and of the period, relative
+        to the largest size of each component and to the period.
     is_isolated : bool
         Whether the orbit is the only one near it with its energy or period and its symmetry, up to
         the motions that the integrals of H generate, as rotations. If not, H has more integrals
@@ -165,16 +166,19 @@ class PeriodicOrbit(Drawn, Saved):
             times = np.array(math.nan)
         if times.ndim > 1 or not np.isfinite(times).all():
             raise InputError("t must be a number or a sequence of numbers")
-        closing = self.problem.closing
-        turns = np.atleast_1d(times - self.problem.start) / self.period
-        place = (turns - np.floor(turns)) * closing.parts
-        part = np.minimum(place.astype(int), closing.parts - 1)
-        fraction = place - part
-        found = np.empty((len(place), self.H.dim))
+        closing, period = self.problem.closing, self.period
+        # Pairs, because the motion may be fast within the rounding of a fraction of the period.
+        since = Pair(np.atleast_1d(times)) - self.problem.start
+        since = np.fmod(since.high, period) + Pair(since.low)  # exact
+        since = since + np.where(since.high < 0, period, 0.0)
+        place = closing.parts * since
+        part = np.clip((place.high / period).astype(int), 0, closing.parts - 1)
+        place = place - part.astype(float) * Pair(period)
+        found = np.empty((len(part), self.H.dim))
         for k in np.unique(part):
             rows = part == k
-            along = 1 - fraction[rows] if closing.reversing and k % 2 else fraction[rows]
-            found[rows] = closing.unfolded(int(k), self.arc.at(along))
+            along = period - place[rows] if closing.reversing and k % 2 else place[rows]
+            found[rows] = closing.unfolded(int(k), self.arc.at_shares(along))
         return found[0] if times.ndim == 0 else found
 
     # -- stability ----------------------------------------------------------------------------

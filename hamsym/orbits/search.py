@@ -340,5 +340,10 @@ def check(problem: Problem, arc: Arc) -> tuple[Arc, Step, float]:
     # What is rounded of it counts as well.
     rest = found.precise
     ends = ((np.abs(step.ends) + np.abs(rest.ends.low)) / arc.scale).max()
-    period = (abs(step.period) + abs(rest.period.low)) / arc.period
-    return found, step, float(np.maximum(ends, period))  # NaN if either is
+    period = abs(step.period) + abs(float(rest.period.low))
+    # States move by as much as the motion in the error of the period.
+    times = problem.start + arc.edges * (arc.period / problem.closing.parts)
+    with np.errstate(all="ignore"):
+        moved = np.abs(flow_of(problem.H).vector_field(arc.ends, times)).max(axis=0) * period
+    errors = (ends, period / arc.period, (moved / arc.scale).max())
+    return found, step, float(np.max(errors))  # NaN if one is

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from fractions import Fraction
 
 import mpmath
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.optimize import brentq
 
 import hamsym
 from hamsym.errors import InputError
+from hamsym.numerics.collocation import collocation
 from hamsym.orbits.force_between import missed_feature
 
 HENON_HEILES = hamsym.Hamiltonian("(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2 + x**2*y - y**3/3")
@@ -439,3 +441,19 @@ def test_bad_input_is_refused(H, guess, options, message):
 def test_times_that_are_no_numbers_are_refused(t):
     with pytest.raises(InputError, match="t must be"):
         hamsym.periodic_orbit(DUFFING, [1.0, 0.0])(t)
+
+
+def test_close_encounter_is_evaluated_to_the_rounding_of_its_time():
+    # Kepler's problem from the apoapsis: near the other end the state moves by its size in 1e-9
+    start = [-1.999999, 0.0, 0.0, -math.sqrt(1e-6 / 1.999999)]
+    orbit = hamsym.periodic_orbit("(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)", (start, 2 * math.pi))
+    arc = orbit.arc
+    fastest = int(np.diff(arc.edges).argmin())
+    low, high = (Fraction(edge) for edge in arc.edges[fastest : fastest + 2])
+    times = np.array([float((low + (high - low) * k / 8) * Fraction(arc.period)) for k in (2, 5)])
+    exact = [float((Fraction(t) / Fraction(arc.period) - low) / (high - low)) for t in times]
+    expected = collocation(arc.values.shape[1]).interpolation(np.array(exact)) @ arc.values[fastest]
+    assert np.abs((orbit(times) - expected) / arc.scale).max() < 1e-13
+    # Even the rounding of the period moves the state by more than the tolerance.
+    assert not orbit.success
+    assert orbit.relative_error > 1e-8
