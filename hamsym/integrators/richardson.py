@@ -96,7 +96,9 @@ def extrapolate(
         found = 10 * np.maximum(before, after)  # where the ratio is not a number, too
         slow = np.maximum(1.0, 2 * ratio / (1 - ratio)) * after
         found = np.where(ratio < _STALLED, slow, found)
-        fast = np.maximum(_SHARE * largest(column), weight / 4 * after)
+        # Runs that differ by the size of a component can have any ratio by chance.
+        share = np.maximum(weight / 4, np.minimum(lowest, 1.0) ** 2)
+        fast = np.maximum(_SHARE * largest(column), share * after)
         found = np.where(ratio <= 2.0 ** (-0.6 * order), fast, found)
         grown = np.maximum.accumulate(largest(parted), axis=1) / unit
         round_off = _EPS * (np.maximum(1.0, grown) + steps)

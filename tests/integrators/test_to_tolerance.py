@@ -532,6 +532,18 @@ def test_slow_convergence_is_not_extrapolated_away() -> None:
     assert (found.errors[0, 1:] > 0.9 * error).all()
 
 
+def test_runs_that_differ_by_the_size_of_a_component_have_no_order() -> None:
+    """A double well with a tolerance of 9 %: the first differences fall as the order says."""
+    H, start, span = (
+        Hamiltonian("p**2/2 + x**4/4 - x**2/2"),
+        [0.29843597, -0.98269071],
+        (0.0, -40.0),
+    )
+    found = hamsym.integrate(H, start, span, "implicit_midpoint", tol=0.086, saves=1)
+    truth = reference(H, np.array(start), span)(np.linspace(*span, 2001))
+    assert (np.abs(found.z[-1] - truth[-1]) <= 0.086 * np.abs(truth).max(axis=0)).all()
+
+
 def test_estimate_holds_where_halved_steps_help_little() -> None:
     coarse, middle, fine = runs_of_order(6, (0.5,))
     error = np.abs(fine - 1).max()
