@@ -106,6 +106,8 @@ def monodromy(
 
     require_number("period", period)
     require_number("start", start)
+    if Hamiltonian.of(H).time is None:
+        start = 0.0  # at any time; the sum with a large one is rounded
     span = checked_span((start, start + period))
     solution = solve(H, z0, span, tol=tol)
     if not solution.success:

@@ -15,11 +15,14 @@ from typing import Any
 import numpy as np
 
 from hamsym.dynamics.growth import STEPS_PER_RADIAN, UNRESOLVED, tangent_scales
+from hamsym.dynamics.passed_features import first_passed
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.energy_drift import COARSE, EnergyDrift
+from hamsym.integrators.hidden_features import passed_over
 from hamsym.integrators.step_scales import fastest_rates
 from hamsym.integrators.stepper import Stepper
+from hamsym.problems.ensemble import ensemble_of
 from hamsym.problems.problem import checked_steps
 
 #: Points of a history.
@@ -125,7 +128,9 @@ class TangentSteps:
                 return change, (
                     f"the motion has rates up to {fastest:.2g}: give a dt that resolves them"
                 )
-        return change, ""
+        start = ensemble_of(H, path[0], None)
+        passed = first_passed(start, self.method, self.span[0], self.size, self.number)[0]
+        return change, "" if math.isnan(passed) else passed_over(passed)
 
 
 def _fastest_rate(

@@ -425,3 +425,17 @@ def test_indicators_are_drawn() -> None:
     assert drawn[-1] == found.sali[-1]
     assert drawn.min() == found.sali.min()
     assert len(drawn) < 100 < len(found.sali)
+
+
+@pytest.mark.parametrize("function", [hamsym.lyapunov, hamsym.chaos_indicators])
+def test_steps_over_a_barrier_are_no_success(function):
+    barrier = "p**2/2 + x**2/2 + 0.9*exp(-((x - 0.0123456)/1e-7)**2)"
+    found = function(barrier, [1, 0], (0, 20))
+    assert not found.success
+    assert "near t = 1.55845 the force has a feature" in found.message
+    assert function(barrier, [1, 0], (0, 1.5)).success
+
+
+def test_monodromy_does_not_round_the_period_at_a_late_start():
+    H = "p**2/2 + x**2/2"
+    assert hamsym.monodromy(H, [1, 0], 2 * np.pi, start=1e13).closure < 1e-9
