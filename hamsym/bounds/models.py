@@ -77,26 +77,27 @@ def residual_bounds(
     t: np.ndarray,
     ends: np.ndarray,
     parameters: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Bound the residual of each component on parts of windows.
 
     - z, rates: Trial solution and its derivative, shape (parts, PLACES, dim).
     - t: Shape (parts, PLACES).
     - ends: The least and the largest time of each part, shape (parts, 2).
     - parameters: Shape (k,) or (parts, k).
-    - returns bounds, rounding: Shape (parts, dim). Bounds leave out the round-off of the formula,
-      for which ``rounding`` is a bound.
+    - returns bounds, hidden, rounding: Shape (parts, dim). Bounds leave out the round-off of the
+      formula, for which ``rounding`` is a bound; ``hidden`` bounds the distance of the residual
+      from a polynomial through its values at the places.
     """
-    bounds, rounding = np.empty((2, len(t), z.shape[2]))
+    found = np.empty((3, len(t), z.shape[2]))
     rows = [np.moveaxis(array, 2, 1) for array in (z, rates)]
     given = [np.ascontiguousarray(a, dtype=float) for a in (*rows, t, ends, parameters)]
     done = library().hamsym_residual_bounds(
         *(ctypes.byref(programs.program(name)) for name in ("velocity", "force")),
         *(ctypes.byref(model_tables()), len(t), *(array.ctypes.data for array in given)),
-        *(_stride(given[-1]), bounds.ctypes.data, rounding.ctypes.data),
+        *(_stride(given[-1]), *(array.ctypes.data for array in found)),
     )
     require_memory(done)
-    return bounds, rounding
+    return found[0], found[1], found[2]
 
 
 def bounded(programs: Equations, tables: BoundTables, pieces: Pieces) -> np.ndarray:

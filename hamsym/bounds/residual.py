@@ -195,7 +195,8 @@ class ExcessSearch:
         places, limits = self.trial(parts), self.limits[parts.window]
         whole = np.broadcast_to(self.whole, self._lengths.shape)[parts.window]
         weight = self._lengths[parts.window] * np.where(whole, 1.0, parts.width)
-        bounds, formula = bounds_on_parts(self.programs, places, self.edges, parts, self.parameters)
+        given = places, self.edges, parts, self.parameters
+        bounds, _, formula = bounds_on_parts(self.programs, *given)
         upper = largest_ratios(bounds * weight[:, None], limits)
         lower, times = np.zeros(len(parts)), places.t[:, PLACES // 2].copy()
         large = np.flatnonzero(~(upper <= np.maximum(parts.width, _SHARE)))
@@ -218,8 +219,10 @@ class ExcessSearch:
 
 def bounds_on_parts(
     programs: Programs, places: Places, edges: np.ndarray, parts: Parts, parameters: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Bound the residual on each part, and the round-off in it, shape (parts, dim)."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Bound the residual on each part, what its values at the places leave out of it, and the
+    round-off in it, shape (parts, dim).
+    """
     start, end = edges[:, parts.window]
     ends = start + (end - start) * parts.start, start + (end - start) * (parts.start + parts.width)
     given = parameters if parameters.ndim == 1 else parameters[parts.window]

@@ -378,7 +378,7 @@ class _Search:
         """Whether nothing can be hidden in windows of equal numbers of steps."""
         windows = self._windows(starts, length)
         at, parts = windows.whole(), Parts.whole(len(starts))
-        bounds, rounding = bounds_on_parts(
+        bounds, _, rounding = bounds_on_parts(
             self._features.programs, at, windows.edges, parts, self._given
         )
         passed = (bounds <= self._rate + _ROUND_OFF * np.abs(at.rates).max(axis=1)).all(axis=1)

@@ -46,7 +46,7 @@ _SIGNATURES = {
     "hamsym_errors": "i ppppppppi",
     "hamsym_members": "i ppppp",
     "hamsym_models": "i ppipppipp",
-    "hamsym_residual_bounds": "i pppipppppipp",
+    "hamsym_residual_bounds": "i pppipppppippp",
     "hamsym_bounded": "i pppp",
     "hamsym_discs": "i pppp",
     "hamsym_paths": "i pippp",

@@ -9,6 +9,7 @@
 #define SMALLEST 5e-324            /* what underflows to zero */
 #define LEBESGUE 3.7                /* a polynomial through values at the places is larger by this factor at most */
 #define MOST_SHARES 4.0             /* of the limit of a window, that all its parts may use; see hamsym/bounds/residual.py */
+#define HIDDEN 0.05                /* of the limit, between the places: the estimated error has what is at the places */
 #define ROUNDED 4.0                /* times the rounding of models that is left out of a residual */
 
 typedef void row_function(const double *x, double *out, long n);
@@ -644,10 +645,11 @@ static double extent(const double *value, double *largest) {
 }
 
 /* Bound the residual of each component on one interval from values at the places, dim x PLACES, and times with
-   their range, and the round-off of the formula. The inputs are the first rows of both programs. */
+   their range, what its values at the places leave out of that, and the round-off of the formula. The inputs are the
+   first rows of both programs. */
 static void bound_residual(const program *velocity, const program *force, const model_tables *t, const double *z,
                            const double *rates, const double *times, double start, double end,
-                           const double *parameters, model *row, double *bounds, double *rounding) {
+                           const double *parameters, model *row, double *bounds, double *hidden, double *rounding) {
   long dim = velocity->dim, half = dim / 2;
   double largest, late = extent(times, &largest);
   /* A trial solution may be evaluated at times that are rounded. */
@@ -664,6 +666,7 @@ static void bound_residual(const program *velocity, const program *force, const 
     add(&rest, &other, &rest);
     /* What is round-off of the formula itself is no residual. */
     bounds[i] = larger(larger(fabs(rest.low), fabs(rest.high)) - ROUNDED * rest.rounding, 0.0);
+    hidden[i] = rest.error;
     rounding[i] = found->rounding;
   }
 }
@@ -673,20 +676,21 @@ static model *rows_of(const program *one, const program *other) {
   return malloc((rows > more ? rows : more) * sizeof(model));
 }
 
-/* Bound the residual of each component on parts of windows, and the round-off of the formula in it.
+/* Bound the residual of each component on parts of windows, what its values at the places leave out, and the round-off
+   of the formula in it.
 
    z, rates: the trial solution and its derivative, parts x dim x PLACES; t: parts x PLACES; ends: the least and
    the largest time of each part; parameters: those of each part are `stride` numbers further. */
 EXPORTED int64_t hamsym_residual_bounds(const program *velocity, const program *force, const model_tables *t,
                                         int64_t parts, const double *z, const double *rates, const double *times,
                                         const double *ends, const double *parameters, int64_t stride, double *bounds,
-                                        double *rounding) {
+                                        double *hidden, double *rounding) {
   long dim = velocity->dim, size = dim * PLACES;
   model *row = rows_of(velocity, force);
   if (!row) return 0;
   for (long k = 0; k < parts; k++)
     bound_residual(velocity, force, t, z + k * size, rates + k * size, times + k * PLACES, ends[2 * k],
-                   ends[2 * k + 1], parameters + k * stride, row, bounds + k * dim, rounding + k * dim);
+                   ends[2 * k + 1], parameters + k * stride, row, bounds + k * dim, hidden + k * dim, rounding + k * dim);
   free(row);
   return 1;
 }
@@ -702,8 +706,8 @@ void lay_out_bounds(bounding *m, arena *arena, const equations *H, const bound_t
   m->readout = take(arena, dim * t->columns);
   m->series = take(arena, dim * t->around->terms);
   m->memory = take(arena, dim * DISCS);
-  double **small[] = {&m->bounds, &m->rounding, &m->limits};
-  for (int k = 0; k < 3; k++) *small[k] = take(arena, dim);
+  double **small[] = {&m->bounds, &m->hidden, &m->rounding, &m->limits};
+  for (int k = 0; k < 4; k++) *small[k] = take(arena, dim);
   m->row = 0;
 }
 
@@ -741,9 +745,11 @@ int is_bounded(bounding *m, const equations *H, const bound_tables *t, double to
   if (!m->row) m->row = rows_of(H->velocity, H->force);
   if (!m->row) return 0;
   bound_residual(H->velocity, H->force, t->models, m->z, m->rates, m->times, start, end, parameters, m->row, m->bounds,
-                 m->rounding);
-  for (long i = 0; i < dim; i++)
-    if (!(m->bounds[i] * length <= MOST_SHARES * greater(m->limits[i], TINY) && m->limits[i] < INFINITY)) return 0;
+                 m->hidden, m->rounding);
+  for (long i = 0; i < dim; i++) {
+    double limit = greater(m->limits[i], TINY), large = m->bounds[i] * length, hidden = m->hidden[i] * length;
+    if (!(large <= MOST_SHARES * limit && hidden <= HIDDEN * limit && limit < INFINITY)) return 0;
+  }
   return 1;
 }
 

@@ -53,7 +53,7 @@ typedef struct {
   machine velocity, force;
   disc *disc;
   model *row;
-  double *z, *rates, *found, *times, *readout, *series, *memory, *bounds, *rounding, *limits;
+  double *z, *rates, *found, *times, *readout, *series, *memory, *bounds, *hidden, *rounding, *limits;
 } bounding;
 
 void lay_out_bounds(bounding *m, arena *arena, const equations *H, const bound_tables *t);

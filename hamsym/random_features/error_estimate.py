@@ -30,7 +30,8 @@ from hamsym.numerics.collocation import collocation, turns
 from hamsym.numerics.scales import resolved_sizes
 from hamsym.random_features.basis import FeatureBasis, basis_of_series, squared
 from hamsym.random_features.flow import Flow, flow_of
-from hamsym.random_features.windows import March
+from hamsym.random_features.window_checks import WindowChecks
+from hamsym.random_features.windows import March, Windows
 from hamsym.solution.times import shown_time
 from hamsym.solution.window_error import WindowError
 
@@ -82,6 +83,8 @@ class Estimate(NamedTuple):
     linear: np.ndarray
     #: Windows whose residual is large relative to the rates: the force may jump there.
     unresolved: list[tuple[float, float]]
+    #: Whether bounds on the residual between its places are in the error, as round-off.
+    hidden: bool
 
 
 def estimate_error(
@@ -105,6 +108,10 @@ def estimate_error(
     moved = np.ones(dim)
     moved[_resting(windows, flow)] = 0.0
     lengths = np.abs(np.diff(windows.edges))
+    late = _late(windows, flow) if flow.switched_in_time else None
+    hidden = _hidden(windows, flow, basis, tolerance, tables.places)
+    if hidden is not None:
+        late = hidden if late is None else late + hidden
     settings = ErrorSettings(
         period=_PERIOD,
         width=dim,
@@ -119,7 +126,7 @@ def estimate_error(
         kick=kicks(tables.perturbations, dim) * moved[:, None],
         parameters=flow.parameters,
         residual=residuals,
-        late=_late(windows, flow) if flow.switched_in_time else None,
+        late=late,
     )
     joint = np.zeros((dim, tables.perturbations + 2))
     series = np.full((count, tables.places, dim), np.inf)
@@ -163,6 +170,7 @@ def estimate_error(
         limit,
         linear,
         [(ends[w], ends[w + 1]) for w in np.flatnonzero(marks & loops.UNRESOLVED)],
+        hidden is not None,
     )
 
 
@@ -263,6 +271,16 @@ def _late(windows: March, flow: Flow) -> np.ndarray:
             *(flow.vector_field(states, edges + side * rounding) for side in (_BESIDE, -_BESIDE))
         )
     return np.vstack([np.zeros(states.shape[1]), np.abs(jumps) * rounding[:, None]])
+
+
+def _hidden(
+    windows: March, flow: Flow, basis: FeatureBasis, tolerance: float, places: int
+) -> np.ndarray | None:
+    """Return bounds on what the residual has beside its places, integrated over each window."""
+    if not tolerance or windows.doubt:  # which alone may have none
+        return None
+    rows = Windows(windows.edges, windows.states, windows.readouts)
+    return WindowChecks(flow, basis, tolerance).kicks(rows, _scales(windows, flow), places)
 
 
 def _resting(windows: March, flow: Flow) -> list[int]:

@@ -135,6 +135,7 @@ class _Marching:
         self._windows = _Buffer(self._start, z0, columns, min(_ROOM, max_windows))
         self._checks = WindowChecks(flow, basis, tolerance)
         self._checked, self._chunk = 0, _ROOM
+        self._known = self._sizes.copy()  # sizes up to the last window that was checked
         self._furthest: float | None = None  # end of the last window that failed a check
         self._returns = 0  # to windows before it
         self._failures: list[str] = []  # that shorter windows did not mend
@@ -321,13 +322,16 @@ class _Marching:
         if count == first or len(self._failures) >= _MOST_FAILURES:
             self._checked = count
             return None
-        sizes = np.maximum(self._sizes, self._floors)
-        failure = self._checks.first_failure(self._windows.part(first, count), sizes)
-        if failure is None:
-            self._checked, self._chunk = count, min(2 * self._chunk, _CHUNKS[1])
-            return None
-        self._checked, self._chunk = first + failure.window, _CHUNKS[0]
-        return failure._replace(window=first + failure.window)
+        windows = self._windows.part(first, count)
+        # Those so far: a window that fails may be followed by states of any size.
+        inside = self._basis.columns(self._basis.nodes)[0] @ windows.readouts
+        inside = np.abs(windows.states[:-1, None] + inside).max(axis=1)
+        sizes = np.maximum.accumulate(np.vstack([self._known, inside]))
+        failure = self._checks.first_failure(windows, np.maximum(sizes[1:], self._floors))
+        passed = count - first if failure is None else failure.window
+        self._known, self._checked = sizes[passed], first + passed
+        self._chunk = _CHUNKS[0] if failure else min(2 * self._chunk, _CHUNKS[1])
+        return failure and failure._replace(window=first + failure.window)
 
     def _go_back(self, failure: Failure) -> None:
         """Return to the start of a window, with stops at the times that failed."""
@@ -348,6 +352,7 @@ class _Marching:
             return
         clock, counts, tail = self._clock, self._counts, self._tail
         counts[0], clock[0] = window, start
+        self._sizes[:] = self._known
         for t in failure.times:
             nearest = min(abs(t - stop) for stop in (*self._stops, start, end))
             if nearest > 10 * shortest:

@@ -34,7 +34,7 @@ from hamsym.random_features.error_estimate import (
 )
 from hamsym.random_features.flow import Flow, flow_of
 from hamsym.random_features.march import node_signs, origin_of, shortest_window
-from hamsym.random_features.window_checks import Pieces, WindowChecks, bound_tables
+from hamsym.random_features.window_checks import HIDDEN, Pieces, WindowChecks, bound_tables
 from hamsym.random_features.windows import March
 from hamsym.solution.discontinuities import has_switches, has_time_switches
 from hamsym.solution.window_error import relative_tolerance
@@ -244,8 +244,13 @@ class MemberSolver:
         )
         checks = WindowChecks(self._flow, self.basis, self._local)
         with np.errstate(all="ignore"):
-            found = checks.exceeding(pieces, members["size"][owner], parameters[owner])
-        return np.unique(owner[[excess.window for excess in found]])
+            given = pieces, members["size"][owner], parameters[owner]
+            refused = np.zeros(len(left), dtype=bool)
+            refused[[excess.window for excess in checks.exceeding(*given)]] = True
+            # The estimate of the library leaves out what its places do not show.
+            hidden, _ = checks.hidden(*given, self._places)
+            refused |= ~(hidden <= HIDDEN).all(axis=1)
+        return np.unique(owner[refused])
 
 
 @functools.lru_cache(maxsize=64)

@@ -213,7 +213,7 @@ def solve_by_march(problem: InitialValueProblem, method: Features, basis: Featur
             # A tighter march does not reduce an error that is mostly round-off.
             floors = error.floors.max(axis=0)
             at_round_off = (
-                not estimate.limit
+                not (estimate.limit or estimate.hidden)
                 and (error.largest <= np.maximum(2 * floors, tried.allowed)).all()
             )
             if tried.excess <= 1 or at_round_off or local <= SMALLEST:

@@ -17,7 +17,14 @@ import numpy as np
 
 from hamsym.bounds.discs import decade_of, disc_tables
 from hamsym.bounds.models import DEGREE, NODES, PLACES, bounded, model_tables
-from hamsym.bounds.residual import Excess, ExcessSearch, Parts, Places, largest_ratios
+from hamsym.bounds.residual import (
+    Excess,
+    ExcessSearch,
+    Parts,
+    Places,
+    bounds_on_parts,
+    largest_ratios,
+)
 from hamsym.kernel import loops
 from hamsym.numerics.collocation import collocation
 from hamsym.random_features.basis import FeatureBasis
@@ -31,6 +38,13 @@ _NOISE = 8.0  # times the typical change of the rates for one unit in the last p
 # time at least, and at most where that is a small share of the window.
 _LEAST_INSIDE, _INSIDE, _SMALL_INSIDE = 1.0, 4.0, 1e-6
 _NODES, _BISECTIONS = 32, 40  # of the search for the place at which H changes
+#: Share of the limit of the residual that the estimated error may leave out.
+HIDDEN = 1e-3
+# Of what it leaves out: width of parts from which it counts; wider ones are smooth, and the error
+# has room for that. Halvings and parts until it is small.
+_NARROW = 1 / 8
+_ULPS = 32 * 2.0**-52  # of the time, below which a part is not divided
+_GENERATIONS, _MOST_PARTS = 40, 1024
 
 
 class Failure(NamedTuple):
@@ -117,9 +131,7 @@ class WindowChecks:
 
         - sizes, given: Sizes of components and values of parameters, for all or for each window.
         """
-        lengths = np.abs(pieces.end - pieces.start)[:, None]
-        largest = np.abs(self._at(pieces, Parts.whole(len(lengths)), NODES).rates).max(axis=1)
-        limits = self.tolerance * sizes + _ROUND_OFF * lengths * largest
+        limits = self._limits(pieces, sizes)
 
         def rates(z: np.ndarray, t: np.ndarray, window: np.ndarray) -> np.ndarray:
             return self.flow.vector_field(z, t, given if given.ndim == 1 else given[window])
@@ -132,6 +144,69 @@ class WindowChecks:
             *(limits, given, SLACK * _NOISE, first_only),
         )
         return search.run()
+
+    def kicks(self, windows: Windows, sizes: np.ndarray, count: int) -> np.ndarray | None:
+        """Bound what the estimated error leaves out of the residual; None where that is small.
+
+        - count: Places at which it has the residual.
+        - returns: Integrals over the windows, shape (windows, dim).
+        """
+        pieces, given = pieces_of(windows), self.flow.parameters
+        if self.flow.is_short_polynomial:
+            return None
+        left = np.flatnonzero(~self._bounded(pieces, sizes, given))
+        if not len(left):
+            return None
+        shares, limits = self.hidden(Pieces(*(part[left] for part in pieces)), sizes, given, count)
+        if (shares <= HIDDEN).all():
+            return None
+        found = np.zeros((len(pieces.start), self.flow.programs.dim))
+        found[left] = shares * limits
+        return found
+
+    def hidden(
+        self, pieces: Pieces, sizes: np.ndarray, given: np.ndarray, count: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Bound what values of the residual at few places leave out, integrated over windows.
+
+        A window is halved until that is seen at the places of its parts, as a narrow pulse is, or
+        is small.
+
+        - sizes, given: As of :meth:`exceeding`.
+        - count: Places that are known, of the estimated error.
+        - returns: In units of the limits of :meth:`exceeding`, and these, shapes (windows, dim).
+        """
+        rule, limits = collocation(count), self._limits(pieces, sizes)
+        parts, found, missed = Parts.whole(len(limits)), *np.zeros((2, *limits.shape))
+        weights, sums = collocation(PLACES).integration[-1], []
+        _, known = self._residuals(pieces, parts, 2 * rule.nodes - 1, given)
+        edges = np.stack((pieces.start, pieces.end))
+        lengths, shortest = np.abs(edges[1] - edges[0]), _ULPS * np.abs(edges).max(axis=0)
+        with np.errstate(all="ignore"):  # what has no bound is infinite or NaN
+            for generation in range(_GENERATIONS):
+                at, residual = self._residuals(pieces, parts, NODES, given)
+                bounds, between, _ = bounds_on_parts(self.flow.programs, at, edges, parts, given)
+                between = np.fmin(between, bounds + np.abs(residual).max(axis=1))
+                shown = rule.interpolation(parts.places(NODES).ravel())
+                shown = shown.reshape(len(parts), len(NODES), -1) @ known[parts.window]
+                shares = (lengths / limits.T).T[parts.window]
+                shares *= parts.width[:, None]
+                between = shares * between
+                beside = shares * (weights @ (residual - shown))
+                small = HIDDEN * np.maximum(parts.width[:, None], np.abs(beside))
+                done = (between <= small).all(axis=1)
+                # Round-off of late times does not become less.
+                sums.append(np.bincount(parts.window, between.max(axis=1), len(limits)))
+                done |= ~(sums[-1] <= 0.5 * sums[-4])[parts.window] if len(sums) > 4 else False
+                done |= (parts.width * lengths[parts.window]) <= shortest[parts.window]
+                done |= generation == _GENERATIONS - 1 or len(parts) > _MOST_PARTS
+                np.add.at(found, parts.window[done], between[done])
+                narrow = done & (parts.width <= _NARROW)
+                np.add.at(missed, parts.window[narrow], beside[narrow])
+                parts = parts[~done].halves()
+                if not len(parts):
+                    break
+        return found + np.abs(missed), limits
 
     def _bounded(self, pieces: Pieces, sizes: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """Return whether the bound on the whole of each window accepts it, shape (windows,)."""
@@ -152,6 +227,22 @@ class WindowChecks:
                 parameters=parameters,
             ),
         )
+
+    def _limits(self, pieces: Pieces, sizes: np.ndarray) -> np.ndarray:
+        """Allowed integrals of the residual over windows, shape (windows, dim)."""
+        lengths = np.abs(pieces.end - pieces.start)[:, None]
+        largest = np.abs(self._at(pieces, Parts.whole(len(lengths)), NODES).rates).max(axis=1)
+        return np.asarray(self.tolerance * sizes + _ROUND_OFF * lengths * largest)
+
+    def _residuals(
+        self, pieces: Pieces, parts: Parts, x: np.ndarray, given: np.ndarray
+    ) -> tuple[Places, np.ndarray]:
+        """The trial solution and its residual at places in [-1, 1] of parts."""
+        at = self._at(pieces, parts, x)
+        window, shape = np.repeat(parts.window, len(x)), at.z.shape
+        own = given if given.ndim == 1 else given[window]
+        found = self.flow.vector_field(at.z.reshape(-1, shape[-1]), at.t.ravel(), own)
+        return at, at.rates - found.reshape(shape)
 
     def _energy_changes(self, windows: Windows, sizes: np.ndarray) -> np.ndarray:
         """Return the change of H over each window, in units of the limit."""

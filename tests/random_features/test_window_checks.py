@@ -270,3 +270,28 @@ def test_infinite_round_off_hides_no_residual(monkeypatch: pytest.MonkeyPatch) -
     wrong = Windows(windows.edges, windows.states, 1.01 * windows.readouts)
     monkeypatch.setattr(residual, "_round_off", lambda *given: np.full((len(given[2]), 2), np.inf))
     assert checks.first_failure(wrong, windows.scale) is not None
+
+
+@pytest.mark.parametrize("width", [1e-4, 1e-6])
+def test_pulse_within_the_local_tolerance_counts_as_much_as_it_grows(width: float) -> None:
+    # beside the upper equilibrium of a pendulum, where what is small grows a thousand times
+    tol, at, end = 1e-9, 1.0345678, 10.0
+    push = 0.3 * tol
+    pulse = f"x*{push / (width * math.sqrt(math.pi))!r}*exp(-((t - {at})/{width})**2)"
+    start = [math.pi - 1e-4, 0.0]
+    solution = hamsym.solve(f"p**2/2 - cos(x) + {pulse}", start, (0, end), tol=tol)
+    free = Hamiltonian("p**2/2 - cos(x)")
+    before = hamsym.solve(free, start, (0, at), tol=1e-12)(at)
+    truth = hamsym.solve(free, before - np.array([0, push]), (at, end), tol=1e-12)(end)
+    assert solution.success
+    assert (np.abs(solution(end) - truth) <= 0.2 * solution.allowed_error).all()
+    many = hamsym.solve_many(solution.H, [start], (0, end), tol=tol)
+    assert (np.abs(many[0](end) - truth) <= 0.2 * solution.allowed_error).all()
+
+
+def test_sizes_behind_a_barrier_that_was_passed_are_forgotten() -> None:
+    barrier = "exp(-((x - 1)/0.0001)**2)"
+    fall = "100*(sqrt((x - 1.3)**2 + 0.000001) + x - 1.3)/2"
+    solution = hamsym.solve(f"p**2/2 + {barrier} + 0.1*x**2 - {fall}", [0.2, 0.9], (0, 4), tol=1e-7)
+    assert solution.success
+    assert (solution.error.scale < [2.1, 1.0]).all()
