@@ -277,7 +277,8 @@ def _hidden(
     windows: March, flow: Flow, basis: FeatureBasis, tolerance: float, places: int
 ) -> np.ndarray | None:
     """Return bounds on what the residual has beside its places, integrated over each window."""
-    if not tolerance or windows.doubt:  # which alone may have none
+    # In doubt there may be no bound, and beside a switch none is sharp.
+    if not tolerance or windows.doubt or flow.switched_in_time:
         return None
     rows = Windows(windows.edges, windows.states, windows.readouts)
     return WindowChecks(flow, basis, tolerance).kicks(rows, _scales(windows, flow), places)

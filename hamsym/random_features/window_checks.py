@@ -45,6 +45,7 @@ HIDDEN = 1e-3
 _NARROW = 1 / 8
 _ULPS = 32 * 2.0**-52  # of the time, below which a part is not divided
 _GENERATIONS, _MOST_PARTS = 40, 1024
+_SHARE = 1 / 64  # of the limit of a window that a part may use, however short it is
 
 
 class Failure(NamedTuple):
@@ -193,12 +194,18 @@ class WindowChecks:
                 shares *= parts.width[:, None]
                 between = shares * between
                 beside = shares * (weights @ (residual - shown))
-                small = HIDDEN * np.maximum(parts.width[:, None], np.abs(beside))
-                done = (between <= small).all(axis=1)
+                beside = np.where(np.isfinite(beside), beside, 0.0)  # where there is no residual
+                small = HIDDEN * np.maximum(
+                    np.maximum(parts.width, _SHARE)[:, None], np.abs(beside)
+                )
+                # At a kink that float64 does not divide there may be no bound.
+                last = parts.width * lengths[parts.window] <= shortest[parts.window]
+                between[last] = np.where(np.isfinite(between[last]), between[last], 0.0)
+                done = last | (between <= small).all(axis=1)
                 # Round-off of late times does not become less.
-                sums.append(np.bincount(parts.window, between.max(axis=1), len(limits)))
+                finite = np.where(np.isfinite(between), between, 0.0).max(axis=1)
+                sums.append(np.bincount(parts.window, finite, len(limits)))
                 done |= ~(sums[-1] <= 0.5 * sums[-4])[parts.window] if len(sums) > 4 else False
-                done |= (parts.width * lengths[parts.window]) <= shortest[parts.window]
                 done |= generation == _GENERATIONS - 1 or len(parts) > _MOST_PARTS
                 np.add.at(found, parts.window[done], between[done])
                 narrow = done & (parts.width <= _NARROW)
