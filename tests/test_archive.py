@@ -770,3 +770,10 @@ def test_generated_functions_are_pickled(backend: str) -> None:
     z = torch.tensor([0.3, 0.2], dtype=torch.float64)
     z = z if backend == "torch" else z.numpy()
     assert (again.vector_field(z, 2.0) == system.vector_field(z, 2.0)).all()
+
+
+def test_success_with_a_larger_error_than_allowed_is_refused(tmp_path: Path) -> None:
+    solution = hamsym.solve("p**2/2 + x**4/4", [1, 0], (0, 10), tol=1e-6)
+    settings = dataclasses.replace(solution.settings, tol=1e-15)
+    with pytest.raises(FileError, match="larger than allowed"):
+        dataclasses.replace(solution, settings=settings).save(tmp_path / "forged.hamsym")

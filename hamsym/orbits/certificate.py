@@ -168,7 +168,7 @@ def _is_within(inner: Ball, outer: Ball) -> bool:
         np.ravel(part).tolist() for ball in (inner, outer) for part in (ball.mid, ball.radius)
     )
     return all(
-        abs(Fraction(a) - Fraction(b)) + Fraction(r) <= Fraction(s)
+        np.isfinite(r) and abs(Fraction(a) - Fraction(b)) + Fraction(r) <= Fraction(s)
         for a, r, b, s in zip(*numbers, strict=True)
         if np.isfinite(s)
     )

@@ -112,6 +112,8 @@ class Solution(Saved):
             return
         if self.error is not None:
             self.error.require_finite()
+            if not (self.error.largest <= self.allowed_error).all():
+                raise ValueError("its success is true, but its error is larger than allowed")
         elif self.record.edges is not None:
             raise ValueError("its error estimate is missing")
         for name, value in vars(self.record).items():

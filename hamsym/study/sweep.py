@@ -22,7 +22,7 @@ from hamsym.problems.problem import InitialValueProblem
 from hamsym.solution.solution import Solution
 from hamsym.study.compare import Row, measure
 from hamsym.study.processes import carry_out
-from hamsym.study.runs import arguments_of, planned_run
+from hamsym.study.runs import Run, arguments_of, planned_run
 from hamsym.support.locking import exclusive
 from hamsym.support.machine import available_cores
 from hamsym.support.method_object import Method
@@ -269,10 +269,17 @@ def sweep(
             carry_out(missing, min(workers or available_cores(), len(missing)), progress)
     groups = [runs[k : k + len(chosen)] for k in range(0, len(runs), len(chosen))]
     named = dict(zip(settings, groups, strict=True))
-    solutions = {
-        name: tuple(load_solution(run.file) for run in group) for name, group in named.items()
-    }
+    solutions = {name: tuple(map(_loaded, group)) for name, group in named.items()}
     return Sweep(chosen, problem.span, solutions, _values(settings, chosen[0]))
+
+
+def _loaded(run: Run) -> Solution:
+    """Load the solution of a run; one of another problem is refused."""
+    found = load_solution(run.file)
+    given = found.H, found.z0.tolist(), tuple(found.settings.span)
+    if given != (run.H, run.z0.tolist(), tuple(run.span)):
+        raise FileError(f"'{run.file}' has the solution of another problem; remove it")
+    return found
 
 
 def _values(settings: Mapping[str, Settings], seed: int) -> dict[str, dict[str, Any]]:

@@ -185,3 +185,12 @@ class _Deadly:
 
     def __repr__(self):
         return "deadly"
+
+
+def test_file_of_another_problem_is_refused(tmp_path):
+    given = ("p**2/2 + x**2/2", [1, 0], (0, 1), {"a": {}})
+    hamsym.sweep(*given, folder=tmp_path, seeds=1, workers=1)
+    [file] = tmp_path.glob("*.hamsym")
+    hamsym.solve("p**2/2 + 9*x**2/2", [2, 0], (0, 1)).save(file)
+    with pytest.raises(hamsym.FileError, match="another problem"):
+        hamsym.sweep(*given, folder=tmp_path, seeds=1, workers=1)
