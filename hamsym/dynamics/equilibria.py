@@ -174,7 +174,7 @@ def _checked_box(H: Hamiltonian, box: Any) -> tuple[np.ndarray, np.ndarray]:
     for name, ends in zip(H.names, intervals, strict=True):
         try:
             a, b = (float(end) for end in ends)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             a = b = math.nan
         if not (math.isfinite(a) and math.isfinite(b) and a < b):
             raise InputError(

@@ -44,7 +44,7 @@ def times_in_span(t: Any, span: tuple[float, float], *, extrapolate: bool = Fals
             precision = float(np.finfo(np.float32).eps)
     try:
         times = np.asarray(t, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError("t has an entry that is not a number; give times") from None
     if times.ndim > 1 or times.size == 0:
         raise InputError(f"t has shape {times.shape}; give one time or a list of times")

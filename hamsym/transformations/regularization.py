@@ -33,6 +33,7 @@ from hamsym.errors import InputError, VariableError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.support.shown import Shown
 from hamsym.support.suggestions import checked_keywords, require_known, suggest_attributes
+from hamsym.support.validation import require_number
 from hamsym.symbolic.checks import name_of
 from hamsym.symbolic.variables import TIME
 from hamsym.transformations.bodies import Bodies, without_collisions
@@ -91,6 +92,7 @@ class Regularization(Shown):
         InputError
             If H is not finite at a state, as in a collision, or dt/ds is not positive there.
         """
+        require_number("t", t)
         original, dof = self.original, self.H.dof
         z = original.states_from(z0)
         form, energy = original.real_equations, original.compile("numpy").at("energy", z, float(t))
@@ -252,11 +254,15 @@ def _moved(H: Hamiltonian, coordinates: Sequence[str] | None, count: int) -> lis
 
 def _place(H: Hamiltonian, about: Mapping[str, Any] | None, name: str) -> sympy.Expr:
     """A coordinate of the collision: a number or a formula of parameters."""
+    if not isinstance(about, Mapping | None):
+        raise InputError(f"about={about!r} is not a mapping; give for example {{'x': 1}}")
     given = (about or {}).get(name, 0)
     unknown = sorted({*map(str, about or ())} - {*H.names[: H.dof]})
     if unknown:
         raise VariableError(f"about= has '{unknown[0]}', which is no coordinate of H")
     expr = H.observable(given).function if isinstance(given, (str, sympy.Expr)) else None
+    if expr is None:
+        require_number(f"the place of {name}", given)
     expr = sympy.Rational(*float(given).as_integer_ratio()) if expr is None else expr
     if {s.name for s in expr.free_symbols} - {*H.parameter_names}:
         raise InputError(f"the place {given!r} of the collision depends on more than parameters")

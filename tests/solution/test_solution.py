@@ -436,3 +436,11 @@ def test_figure_has_its_panels(solution: Solution) -> None:
         "Best residual so far",
     ]
     assert all(axis.lines for axis in figure.axes)
+
+
+def test_times_and_events_of_other_types_are_refused():
+    solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 1))
+    with pytest.raises(InputError, match="not a number"):
+        solution(10**400)
+    with pytest.raises(InputError, match="events=3"):
+        solution.events(3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -252,3 +253,17 @@ def test_a_time_that_does_not_run_forward_is_refused() -> None:
 def test_a_start_in_a_collision_is_refused() -> None:
     with pytest.raises(InputError, match="no collision"):
         Hamiltonian(PLANE).regularized("levi-civita").start([0, 0, 1, 0])
+
+
+@pytest.mark.parametrize("t", ["a", math.nan, [0, 1]])
+def test_start_needs_a_finite_time(t):
+    plane = Hamiltonian("(p_x**2+p_y**2)/2 - 1/sqrt(x**2+y**2)").regularized("levi-civita")
+    with pytest.raises(InputError, match="t="):
+        plane.start([1, 0, 0, 1], t=t)
+
+
+@pytest.mark.parametrize("about", [3, {"x": math.nan}, {"x": [1]}])
+def test_place_of_a_collision_is_checked(about):
+    H = Hamiltonian("(p_x**2+p_y**2)/2 - 1/sqrt(x**2+y**2)")
+    with pytest.raises(InputError, match=r"about=3|the place of x"):
+        H.regularized("levi-civita", about=about)
