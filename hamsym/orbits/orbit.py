@@ -548,7 +548,10 @@ def _repetitions(problem: Problem, arc: Arc, tol: float) -> int:
     found, shortest = 1, arc.period
     for prime in _REPETITIONS:
         # Near an equilibrium states are the same for long, elsewhere they are not.
-        while np.abs((orbit(times + shortest / prime) - states) / units).max() < _SAME:
+        while all(
+            np.abs((orbit(times[part] + shortest / prime) - states[part]) / units).max() < _SAME
+            for part in (slice(1), slice(None))
+        ):
             if _other_period(problem, replace(arc, period=shortest / prime), tol):
                 break
             found, shortest = found * prime, shortest / prime
