@@ -28,7 +28,11 @@ from hamsym.bounds.models import PLACES, residual_bounds
 from hamsym.kernel.loops import Equations as Programs
 from hamsym.symbolic.equations import Equations
 
-_SHARE = 1 / 64  # of the limit of a window that a part may use, however short it is
+#: Round-off that a limit has room for: of the residual, relative to the rates, and in changes of
+#: the rates for one unit in the last place of states and times.
+ROUND_OFF, NOISE = 256 * 2.0**-52, 80.0
+#: Share of the limit of a window that a part may use, however short it is.
+SHARE = 1 / 64
 MOST_SHARES = 4.0  # of the limit, that all parts of a window may use
 _MOST_PARTS = 256  # of one generation of halves
 _AT_ONCE = 56  # parts in one evaluation of models: products so small are not spread over threads
@@ -143,7 +147,7 @@ class ExcessSearch:
         found = (np.concatenate(columns) for columns in zip(*judged, strict=True))
         upper, lower, times, rounding = found
         window, count = parts.window, len(self.limits)
-        passed = upper <= np.maximum(parts.width, _SHARE)
+        passed = upper <= np.maximum(parts.width, SHARE)
         above = self._spent + np.bincount(window, upper, count)
         np.add.at(self._spent, window[passed], upper[passed])
         if self.rounding is not None:
@@ -199,7 +203,7 @@ class ExcessSearch:
         bounds, _, formula = bounds_on_parts(self.programs, *given)
         upper = largest_ratios(bounds * weight[:, None], limits)
         lower, times = np.zeros(len(parts)), places.t[:, PLACES // 2].copy()
-        large = np.flatnonzero(~(upper <= np.maximum(parts.width, _SHARE)))
+        large = np.flatnonzero(~(upper <= np.maximum(parts.width, SHARE)))
         if len(large):
             some, at = parts[large], Places(*(array[large] for array in places))
             rounded, own = self.noise * _round_off(self.rates, at, some), weight[large, None]

@@ -157,12 +157,8 @@ class Crossings:
         if features is None or not math.isnan(self.doubts.hidden):
             return math.nan
 
-        def allowed(index: int) -> np.ndarray:
-            own = None if values is None else values[index]
-            share = self._setting.share / self._setting.steps * (len(times) - 1)
-            return share * features.sizes(path[index], times, own)
-
-        found = features.search(Path(path, times), values, allowed).times
+        share = self._setting.share / self._setting.steps * (len(times) - 1)
+        found = features.passed(Path(path, times), values, share)
         return (
             math.nan if np.isnan(found).all() else float(found[np.nanargmin(abs(found - times[0]))])
         )

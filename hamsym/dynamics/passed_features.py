@@ -39,13 +39,6 @@ def first_passed(
         taken = min(block, steps - done)
         path = stepper.advance(taken, show=False).path
         times = start + size * np.arange(done, done + taken + 1)
-
-        def allowed(
-            index: int, path: np.ndarray = path, times: np.ndarray = times, taken: int = taken
-        ) -> np.ndarray:
-            own = None if values is None else values[index]
-            return COARSE * taken / steps * features.sizes(path[index], times, own)
-
-        new = features.search(Path(path, times), values, allowed).times
+        new = features.passed(Path(path, times), values, COARSE * taken / steps)
         found = np.where(np.isnan(found), new, found)
     return found

@@ -192,17 +192,14 @@ def _between_steps(
     features = hidden_features(members.H)
     if features is None:
         return ""
-    values = members.own_parameters()
-
-    def allowed(index: int) -> np.ndarray:
-        return share * features.sizes(z[index], times, None if values is None else values[index])
 
     def stepper(rows: np.ndarray, states: np.ndarray, starts: np.ndarray) -> Stepper:
         sizes = np.full(len(rows), (times[-1] - times[0]) / steps)
         parameters = members.parameters[rows]
         return Stepper(members.H, name, states, starts, sizes, parameters=parameters, omega=omega)
 
-    found = features.search(Path(z, times, steps, stepper), values, allowed).times
+    path = Path(z, times, steps, stepper)
+    found = features.passed(path, members.own_parameters(), share)
     if np.isnan(found).all():
         return ""
     index = int(np.nanargmin(np.abs(found - times[0])))

@@ -33,6 +33,8 @@ from numpy.polynomial import chebyshev
 from hamsym.bounds.models import DEGREE, NODES, PLACES
 from hamsym.bounds.residual import (
     MOST_SHARES,
+    NOISE,
+    ROUND_OFF,
     ExcessSearch,
     Parts,
     Places,
@@ -61,8 +63,6 @@ _DISAGREEMENT = 0.1  # of the sizes, between the change in a window and the inte
 _AT_ONCE = 256  # windows in one evaluation of models
 _TRIED = 16  # windows of a length, before all of them
 _SAMPLED = 256  # states from which sizes are computed
-_ROUND_OFF = 256 * 2.0**-52  # of the integral of |F - G^|, relative to the force
-_NOISE = 80.0  # times the change of F for one unit in the last place of states and times
 _LEAST = 4.0  # factor by which steps over a pulse that matters much are at least too long
 _NOTHING = math.nan, 0.0, 1.0  # time, excess and factor where there is no feature
 _SMALL = sympy.Float(2.0**-1000)  # of poles, so that they are no force
@@ -180,6 +180,19 @@ class HiddenFeatures:
                         found.times[i], found.excess[i], found.factor[i] = search.run()
                         found.rounding[i] = np.sqrt(found.rounding[i] ** 2 + search.rounding)
         return found
+
+    def passed(self, path: Path, parameters: np.ndarray | None, share: float) -> np.ndarray:
+        """Find the time of the first feature that each trajectory passes over, nan without one.
+
+        - parameters: As of :meth:`search`.
+        - share: Of the sizes of the components, that all features together may change.
+        """
+
+        def allowed(index: int) -> np.ndarray:
+            own = None if parameters is None else parameters[index]
+            return share * self.sizes(path.z[index], path.t, own)
+
+        return self.search(path, parameters, allowed).times
 
     def sizes(self, z: np.ndarray, t: np.ndarray, parameters: np.ndarray | None) -> np.ndarray:
         """Sizes of the components of a trajectory, to which its errors are relative."""
@@ -381,7 +394,7 @@ class _Search:
         bounds, _, rounding = bounds_on_parts(
             self._features.programs, at, windows.edges, parts, self._given
         )
-        passed = (bounds <= self._rate + _ROUND_OFF * np.abs(at.rates).max(axis=1)).all(axis=1)
+        passed = (bounds <= self._rate + ROUND_OFF * np.abs(at.rates).max(axis=1)).all(axis=1)
         if length > self._shortest:
             passed &= self._is_fitted(windows.curve, starts, length)
         self._count(rounding[passed] * abs(float(self._t[length] - self._t[0])))
@@ -425,7 +438,7 @@ class _Search:
         shares = len(starts) * np.where(at_switch, 2.0, 2.0 * MOST_SHARES)
         lengths = np.abs(np.diff(windows.edges, axis=0)).T
         limits = self._allowed / shares[:, None]
-        limits += _ROUND_OFF * lengths * np.abs(windows.whole().rates).max(axis=1)
+        limits += ROUND_OFF * lengths * np.abs(windows.whole().rates).max(axis=1)
         if self._errors is None:
             limits += lengths / shortest * (switched[..., None] * changes[steps]).sum(axis=1)
 
@@ -435,7 +448,7 @@ class _Search:
         rounding = np.zeros_like(limits)
         found = ExcessSearch(
             *(self._features.programs, rates, windows.at, windows.edges, limits, self._given),
-            *(_NOISE, True, at_switch, rounding),
+            *(NOISE, True, at_switch, rounding),
         ).run()
         self._count(rounding)
         if found:

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from hamsym.bounds.models import NODES
-from hamsym.bounds.residual import ExcessSearch, Parts, Places
+from hamsym.bounds.residual import NOISE, ExcessSearch, Parts, Places
 from hamsym.random_features.flow import flow_of
 from hamsym.random_features.window_checks import Pieces, times_of
 from hamsym.solution.solution import Solution
@@ -26,7 +26,6 @@ _LEAST_WINDOWS = 256
 _USUAL = 2.0
 _POINTS = 16  # of collocation in a window at most: less than half of the degree of the bounds
 _SHARE = 0.1  # of the allowed error that the windows may hide in all
-_NOISE = 80.0  # round-off of the residual, in changes of the rates by one unit in the last place
 
 
 def hidden_residual(solution: Solution) -> str:
@@ -54,7 +53,7 @@ def hidden_residual(solution: Solution) -> str:
         limits = _USUAL * length * usual + _SHARE / count * solution.allowed_error
         search = ExcessSearch(
             *(flow.programs, rates, trial, np.stack((pieces.start, pieces.end))),
-            *(limits, flow.parameters, _NOISE, True),
+            *(limits, flow.parameters, NOISE, True),
         )
         excesses = search.run()
     if not excesses:

@@ -12,13 +12,10 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from hamsym.bounds.models import NODES
-from hamsym.bounds.residual import ExcessSearch, Parts, Places
+from hamsym.bounds.residual import NOISE, ROUND_OFF, ExcessSearch, Parts, Places
 from hamsym.numerics.collocation import collocation
 from hamsym.orbits.arc import Arc, Problem
 from hamsym.random_features.flow import flow_of
-
-_NOISE = 80.0  # changes of the force for one unit in the last place of the states
-_ROUND_OFF = 256 * 2.0**-52  # of the force, relative to its largest value in a window
 
 
 def missed_feature(problem: Problem, arc: Arc, tol: float) -> str:
@@ -40,7 +37,7 @@ def missed_feature(problem: Problem, arc: Arc, tol: float) -> str:
         force = flow.vector_field(arc.values.reshape(-1, dim), at.ravel())
         force = np.broadcast_to(force, (count * nodes, dim)).reshape(arc.values.shape)
         limits = tol / count * arc.scale
-        limits = limits + _ROUND_OFF * lengths[:, None] * np.abs(force).max(axis=1)
+        limits = limits + ROUND_OFF * lengths[:, None] * np.abs(force).max(axis=1)
     curve, slopes = rule.to_series @ arc.values, rule.to_series @ force
 
     def rates(z: np.ndarray, t: np.ndarray, _window: np.ndarray) -> np.ndarray:
@@ -54,7 +51,7 @@ def missed_feature(problem: Problem, arc: Arc, tol: float) -> str:
 
     found = ExcessSearch(
         *(flow.programs, rates, trial, np.stack((start, start + lengths))),
-        *(limits, flow.parameters, _NOISE, True),
+        *(limits, flow.parameters, NOISE, True),
     ).run()
     if not found:
         return ""

@@ -109,7 +109,7 @@ def estimate_error(
     moved[_resting(windows, flow)] = 0.0
     lengths = np.abs(np.diff(windows.edges))
     late = _late(windows, flow) if flow.switched_in_time else None
-    hidden = _hidden(windows, flow, basis, tolerance, tables.places)
+    hidden = _hidden(windows, scale, tables.places, WindowChecks(flow, basis, tolerance))
     if hidden is not None:
         late = hidden if late is None else late + hidden
     settings = ErrorSettings(
@@ -274,14 +274,14 @@ def _late(windows: March, flow: Flow) -> np.ndarray:
 
 
 def _hidden(
-    windows: March, flow: Flow, basis: FeatureBasis, tolerance: float, places: int
+    windows: March, sizes: np.ndarray, places: int, checks: WindowChecks
 ) -> np.ndarray | None:
     """Return bounds on what the residual has beside its places, integrated over each window."""
     # In doubt there may be no bound, and beside a switch none is sharp.
-    if not tolerance or windows.doubt or flow.switched_in_time:
+    if not checks.tolerance or windows.doubt or checks.flow.switched_in_time:
         return None
     rows = Windows(windows.edges, windows.states, windows.readouts)
-    return WindowChecks(flow, basis, tolerance).kicks(rows, _scales(windows, flow), places)
+    return checks.kicks(rows, sizes, places)
 
 
 def _resting(windows: March, flow: Flow) -> list[int]:

@@ -18,6 +18,7 @@ import numpy as np
 from hamsym.bounds.discs import decade_of, disc_tables
 from hamsym.bounds.models import DEGREE, NODES, PLACES, bounded, model_tables
 from hamsym.bounds.residual import (
+    SHARE,
     Excess,
     ExcessSearch,
     Parts,
@@ -45,7 +46,6 @@ HIDDEN = 1e-3
 _NARROW = 1 / 8
 _ULPS = 32 * 2.0**-52  # of the time, below which a part is not divided
 _GENERATIONS, _MOST_PARTS = 40, 1024
-_SHARE = 1 / 64  # of the limit of a window that a part may use, however short it is
 
 
 class Failure(NamedTuple):
@@ -98,26 +98,20 @@ class WindowChecks:
         self,
         pieces: Pieces,
         sizes: np.ndarray,
-        parameters: np.ndarray | None = None,
         *,
         first_only: bool = False,
     ) -> list[Excess]:
         """Find windows whose residual may be larger between the points of the march.
 
         - sizes: Of the components, shape (dim,) or (windows, dim).
-        - parameters: Values for each window, shape (windows, k), by default those of H.
         - first_only: Whether to search for the first of them only.
         """
-        if self.flow.is_short_polynomial:
-            return []
-        given = self.flow.parameters if parameters is None else parameters
-        left = np.flatnonzero(~self._bounded(pieces, sizes, given))
+        left = self._unbounded(pieces, sizes)
         if not len(left):
             return []
         pieces = Pieces(*(array[left] for array in pieces))
         sizes = sizes if sizes.ndim == 1 else sizes[left]
-        given = given if given.ndim == 1 else given[left]
-        found = self.exceeding(pieces, sizes, given, first_only=first_only)
+        found = self.exceeding(pieces, sizes, self.flow.parameters, first_only=first_only)
         return [excess._replace(window=int(left[excess.window])) for excess in found]
 
     def exceeding(
@@ -153,9 +147,7 @@ class WindowChecks:
         - returns: Integrals over the windows, shape (windows, dim).
         """
         pieces, given = pieces_of(windows), self.flow.parameters
-        if self.flow.is_short_polynomial:
-            return None
-        left = np.flatnonzero(~self._bounded(pieces, sizes, given))
+        left = self._unbounded(pieces, sizes)
         if not len(left):
             return None
         shares, limits = self.hidden(Pieces(*(part[left] for part in pieces)), sizes, given, count)
@@ -195,9 +187,8 @@ class WindowChecks:
                 between = shares * between
                 beside = shares * (weights @ (residual - shown))
                 beside = np.where(np.isfinite(beside), beside, 0.0)  # where there is no residual
-                small = HIDDEN * np.maximum(
-                    np.maximum(parts.width, _SHARE)[:, None], np.abs(beside)
-                )
+                least = np.maximum(parts.width, SHARE)[:, None]
+                small = HIDDEN * np.maximum(least, np.abs(beside))
                 # At a kink that float64 does not divide there may be no bound.
                 last = parts.width * lengths[parts.window] <= shortest[parts.window]
                 between[last] = np.where(np.isfinite(between[last]), between[last], 0.0)
@@ -215,25 +206,28 @@ class WindowChecks:
                     break
         return found + np.abs(missed), limits
 
-    def _bounded(self, pieces: Pieces, sizes: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-        """Return whether the bound on the whole of each window accepts it, shape (windows,)."""
-        return bounded(
+    def _unbounded(self, pieces: Pieces, sizes: np.ndarray) -> np.ndarray:
+        """Return the windows that the bound on the whole of each does not accept."""
+        if self.flow.is_short_polynomial:
+            return np.empty(0, dtype=int)
+        accepted = bounded(
             self.flow.programs,
             bound_tables(self.basis, self.tolerance),
             loops.Pieces(
                 windows=len(pieces.start),
                 readout=pieces.readouts.shape[1],
                 size_stride=sizes.shape[1] if sizes.ndim == 2 else 0,
-                parameter_stride=parameters.shape[1] if parameters.ndim == 2 else 0,
+                parameter_stride=0,
                 tolerance=self.tolerance,
                 start=pieces.start,
                 end=pieces.end,
                 state=pieces.states,
                 coefficient=pieces.readouts,
                 size=sizes,
-                parameters=parameters,
+                parameters=self.flow.parameters,
             ),
         )
+        return np.flatnonzero(~accepted)
 
     def _limits(self, pieces: Pieces, sizes: np.ndarray) -> np.ndarray:
         """Allowed integrals of the residual over windows, shape (windows, dim)."""

@@ -263,7 +263,7 @@ def _place(H: Hamiltonian, about: Mapping[str, Any] | None, name: str) -> sympy.
     expr = H.observable(given).function if isinstance(given, (str, sympy.Expr)) else None
     if expr is None:
         require_number(f"the place of {name}", given)
-    expr = sympy.Rational(*float(given).as_integer_ratio()) if expr is None else expr
+        expr = sympy.Rational(*float(given).as_integer_ratio())
     if {s.name for s in expr.free_symbols} - {*H.parameter_names}:
         raise InputError(f"the place {given!r} of the collision depends on more than parameters")
     return expr
