@@ -11,9 +11,8 @@ import numpy as np
 import torch
 
 from hamsym.errors import InputError
-from hamsym.networks.chain import ChainTraining
 from hamsym.networks.chain_error import ErrorOfChain, estimate_chain_error
-from hamsym.networks.chain_training import ChainRun, ChainSettings, Layout, TrainedChain
+from hamsym.networks.chain_training import ChainRun, ChainSettings, TrainedChain
 from hamsym.networks.methods import NetworkChain
 from hamsym.networks.record import TrainingState
 from hamsym.networks.window_training import late
@@ -28,7 +27,7 @@ from hamsym.solution.settings import Settings
 from hamsym.solution.solution import Solution
 from hamsym.solution.window_error import allowed_errors
 from hamsym.support.machine import one_core
-from hamsym.support.progress import stepping_progress
+from hamsym.support.progress import share_progress
 
 _LOCAL = 1e-2  # tolerance of the residual in a window, relative to that of the error
 _LEAST_LOCAL, _LARGEST_LOCAL = 1e-12, 1e-10
@@ -37,7 +36,6 @@ _MARGIN = 0.3  # share of the allowed error at which a tighter chain aims
 _HIDDEN_STEPS = 20
 _GUESS = 1e-6  # least tolerance of the march that finds the windows
 _JUMP_SAMPLES = 33  # in each window
-_PERCENT = 1_000  # steps of the progress bar
 
 
 @dataclass(frozen=True)
@@ -63,11 +61,6 @@ class _Pass:
         return "the networks could not be made accurate enough"
 
 
-def _jump(solution: Solution, record: ChainTraining) -> str | None:
-    times = record.times(solution.span, _JUMP_SAMPLES * len(record.edges))
-    return first_jump(solution, times, unresolved(solution))
-
-
 def solve_by_chain(problem: InitialValueProblem, method: NetworkChain) -> Solution:
     """Train a chain of networks to the tolerance of the problem."""
     H, span, tol = problem.H, problem.span, problem.tol
@@ -79,8 +72,9 @@ def solve_by_chain(problem: InitialValueProblem, method: NetworkChain) -> Soluti
     settings = ChainSettings(
         min(max(_LOCAL * tol, _LEAST_LOCAL), _LARGEST_LOCAL),
         _HIDDEN_STEPS if method.train_hidden else 0,
-        max(_LOCAL * tol, _LEAST_LOCAL),
+        method.envelope,
         None if method.time_limit is None else time.perf_counter() + method.time_limit,
+        limit=max(_LOCAL * tol, _LEAST_LOCAL),
     )
     wall, cpu = time.perf_counter(), time.process_time()
     guess = solve_by_features(
@@ -129,12 +123,15 @@ def solve_by_chain(problem: InitialValueProblem, method: NetworkChain) -> Soluti
         settings=Settings.of(problem, method),
         error=best.estimate.error,
     )
-    count = len(record.steps)
+    count, jump = len(record.steps), None
+    if not best.trained.reason:
+        times = record.times(solution.span, _JUMP_SAMPLES * len(record.edges))
+        jump = first_jump(solution, times, unresolved(solution))
     return accepted(
         solution,
         f"{count:,} network{'s' if count > 1 else ''}",
         stopped=best.trained.reason,
-        jump=None if best.trained.reason else _jump(solution, record),
+        jump=jump,
         doubt=best.trained.doubt,
         cause=best.cause(late(settings.deadline)),
     )
@@ -150,18 +147,16 @@ def _trained(
     march, trial = guess.record, guess.trial
     assert isinstance(march, March)
     assert isinstance(trial, FeatureTrial)
-    equal, edges = method.windows is not None, trial.origin + march.edges
+    edges = trial.origin + march.edges
     if method.windows is not None:
         edges = np.linspace(edges[0], edges[-1], method.windows + 1)
     found = ChainRun(
         problem.H,
         trial,
         edges,
-        Layout(method.hidden, method.activation, method.envelope, method.frequency),
+        method,
         settings,
         torch.Generator().manual_seed(problem.seed),
-        equal=equal,
-        widen=equal and tuple(method.hidden) == tuple(NetworkChain().hidden),
     ).trained(advance)
     return replace(
         found,
@@ -179,18 +174,17 @@ def _trained(
 def _progress(
     show: bool | Callable[[TrainingState], None] | None,
 ) -> Iterator[Callable[[float], None]]:
-    """Yield a function that takes the share of the span that a window adds."""
-    if callable(show):
-        report, began = show, time.perf_counter()
-        shares: list[float] = []
-
-        def tell(share: float) -> None:
-            shares.append(share)
-            done, expected = len(shares), round(len(shares) / sum(shares))
-            nan = float("nan")
-            report(TrainingState(done, expected, nan, nan, nan, time.perf_counter() - began))
-
-        yield tell
+    """Yield a function that takes the share of the span that is done, after each window."""
+    if not callable(show):
+        with share_progress(show, "training") as report:
+            yield report
         return
-    with stepping_progress(_PERCENT, show, "training") as update:
-        yield lambda share: update(round(_PERCENT * share))
+    began, windows, nan = time.perf_counter(), 0, float("nan")
+
+    def tell(share: float) -> None:
+        nonlocal windows
+        windows += 1
+        seconds = time.perf_counter() - began
+        show(TrainingState(windows, round(windows / share), nan, nan, nan, seconds))
+
+    yield tell

@@ -11,7 +11,7 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -21,6 +21,7 @@ from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.networks.chain import MAX_WINDOWS, Chain, ChainTraining
 from hamsym.networks.chain_checks import ChainChecks
+from hamsym.networks.methods import NetworkChain
 from hamsym.networks.network import Network
 from hamsym.networks.trial import TrialSolution
 from hamsym.networks.window_training import Equations, Fit, Settings, late, train_window
@@ -40,38 +41,12 @@ _SETTLED = 50  # windows after which their number says how many are needed
 
 
 @dataclass(frozen=True)
-class Layout:
-    """Form of the networks of a chain."""
-
-    hidden: Sequence[int]
-    activation: str
-    envelope: str
-    frequency: float | None
-
-    def network(self, dim: int, generator: torch.Generator) -> Network:
-        """Return a network with random hidden layers, whose readouts are zero."""
-        network = Network(
-            dim, self.hidden, self.activation, frequency=self.frequency, generator=generator
-        )
-        network.requires_grad_(False)
-        for readouts in network.layers[-1]:
-            readouts.zero_()
-        return network
-
-
-@dataclass(frozen=True)
-class ChainSettings:
+class ChainSettings(Settings):
     """Settings of the training of a chain."""
 
-    #: Largest residual in a window, relative to the size of the motion.
-    tolerance: float
-    #: Largest number of steps of the hidden layers in a window.
-    hidden_steps: int
     #: Residual of what an equal window may miss between its points; its own residual is at most ten
     #: times that.
-    limit: float
-    #: Of :func:`time.perf_counter`.
-    deadline: float | None = None
+    limit: float = field(kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -149,16 +124,13 @@ class ChainRun:
         H: Hamiltonian,
         guess: Trial,
         edges: np.ndarray,
-        layout: Layout,
+        method: NetworkChain,
         settings: ChainSettings,
         generator: torch.Generator,
-        *,
-        equal: bool,
-        widen: bool = False,
     ) -> None:
         self._began = time.perf_counter(), time.process_time()
-        self._flow, self._layout, self._settings = _Flow(H), layout, settings
-        self._equal, self._widen, self._random = equal, widen, generator
+        self._flow, self._method, self._settings = _Flow(H), method, settings
+        self._equal, self._random = method.windows is not None, generator
         self._checks = ChainChecks(H, generator.initial_seed())
         self._guess, self._edges = guess, edges
         # Ends of the windows that are left, the next one last, and how often each was divided.
@@ -172,15 +144,15 @@ class ChainRun:
 
     @torch.no_grad()
     def trained(self, advance: Callable[[float], None] = lambda _: None) -> TrainedChain:
-        """Train all windows; ``advance`` is called with the share of the span that each adds."""
-        whole = float(self._edges[-1] - self._edges[0])
+        """Train all windows; ``advance`` is called with the share of the span that is done."""
+        start, whole = self._time, float(self._edges[-1] - self._edges[0])
         with np.errstate(all="ignore"):
             try:
                 while self._left and not self._reason:
                     before = self._time
                     self._step()
                     if self._time != before:
-                        advance((self._time - before) / whole)
+                        advance((self._time - start) / whole)
             except KeyboardInterrupt:
                 self._reason = "interrupted"
         return self._result()
@@ -190,19 +162,19 @@ class ChainRun:
         start, end, divisions = self._left.pop()
         window = _Window(start, end, self._guess)
         size = self._size(window)
-        layout, reach, points = self._form(window)
-        network = layout.network(len(size), self._random)
+        hidden, reach, points = self._form(window)
+        network = self._network(len(size), hidden)
         steps = self._settings.hidden_steps if divisions < _TRAINED else 0
         fit = train_window(
             self._flow.equations(self._z, start, window.h, size),
             network,
             reach,
             points,
-            Settings(self._settings.tolerance, steps, layout.envelope, self._settings.deadline),
+            replace(self._settings, hidden_steps=steps),
             window.states(self._z, size),
         )
         self._evaluations += fit.evaluations
-        piece = _piece(network, self._z, size, window, layout.envelope, reach)
+        piece = _piece(network, self._z, size, window, self._settings.envelope, reach)
         state = piece.states_at(np.array([end]))[0]
         missed = self._missed(piece, fit, window, np.maximum(size, np.abs(state)))
         if not missed or (self._equal and np.isfinite(state).all()):
@@ -247,17 +219,28 @@ class ChainRun:
         sizes = coupled_sizes(np.maximum(own, seen), np.abs(generator), h)
         return np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0)
 
-    def _form(self, window: _Window) -> tuple[Layout, float, int]:
-        """Return the form of the network of a window, the range of its inputs, and its points.
+    def _network(self, dim: int, hidden: Sequence[int]) -> Network:
+        """Return a network with random hidden layers, whose readouts are zero."""
+        method = self._method
+        network = Network(
+            dim, hidden, method.activation, frequency=method.frequency, generator=self._random
+        )
+        network.requires_grad_(False)
+        for readouts in network.layers[-1]:
+            readouts.zero_()
+        return network
+
+    def _form(self, window: _Window) -> tuple[Sequence[int], float, int]:
+        """Return the layers of the network of a window, the range of its inputs, and its points.
 
         Raise InputError if the motion in an equal window needs too large a network.
         """
-        layout = self._layout
+        hidden = self._method.hidden
         matrices = self._flow.numpy.at("jacobian", window.samples, window.times)
         matrices = matrices[np.isfinite(matrices).all(axis=(1, 2))]
         rates = np.abs(np.linalg.eigvals(matrices)).max(axis=1, initial=0.0)
         fastest = float(rates.mean()) if len(rates) else 0.0
-        least = _REACH * min(1.0, layout.hidden[-1] / _WIDTH)
+        least = _REACH * min(1.0, hidden[-1] / _WIDTH)
         reach = max(least, abs(window.h) * fastest / 2)
         points = points_of(reach)
         if self._equal and points > _WIDEST:
@@ -266,9 +249,9 @@ class ChainRun:
                 f"windows={count} needs networks of {points:,} neurons in a layer, more than "
                 f"{_WIDEST:,}; give windows={math.ceil(count * points / _WIDEST)} or more"
             )
-        if self._widen:
-            layout = replace(layout, hidden=(*layout.hidden[:-1], max(layout.hidden[-1], points)))
-        return layout, reach, points
+        if self._equal and "hidden" not in self._method.given:
+            hidden = (*hidden[:-1], max(hidden[-1], points))
+        return hidden, reach, points
 
     def _missed(self, piece: TrialSolution, fit: Fit, window: _Window, size: np.ndarray) -> str:
         """Return why the error of a window may be too large, "" if nothing is known."""

@@ -31,7 +31,7 @@ from hamsym.networks.progress import training_progress
 from hamsym.networks.record import Stopped, Training
 from hamsym.networks.rules import Criterion, Stages, Stopping
 from hamsym.networks.self_scaled_broyden import SelfScaledBroyden
-from hamsym.networks.training import Optimizer, train
+from hamsym.networks.training import train
 from hamsym.networks.trial import TrialSolution
 from hamsym.problems.problem import InitialValueProblem
 from hamsym.solution.acceptance import accepted, excess
@@ -126,12 +126,12 @@ def _stopping(
             Criterion(Stopped.TOLERANCE, lambda _, record: excess(solution(record)) <= 1)
         )
     if (accuracy := method.accuracy) is not None:
-        criteria.append(
-            Criterion(
-                Stopped.ACCURACY,
-                lambda _, record: _is_accurate(solution(record), accuracy),
-            )
-        )
+
+        def is_accurate(_: Any, record: Training) -> bool:
+            found = solution(record)  # by the paper's rule for stopping
+            return found.ell_max_regularized <= found.sigma_min * accuracy
+
+        criteria.append(Criterion(Stopped.ACCURACY, is_accurate))
     return Stopping(
         iterations=method.total,
         target_loss=method.target_loss,
@@ -140,11 +140,6 @@ def _stopping(
         time_limit=method.time_limit,
         criteria=tuple(criteria),
     )
-
-
-def _is_accurate(solution: Solution, accuracy: float) -> bool:
-    """Return whether ell_max <= sigma_min * accuracy, the paper's rule for stopping."""
-    return solution.ell_max_regularized <= solution.sigma_min * accuracy
 
 
 @dataclass(frozen=True)
@@ -241,15 +236,13 @@ def _take_over(initial: Solution, trial: TrialSolution | ModuleTrial) -> None:
         raise InputError(
             "initial has another network than this training; give the same trial to both"
         )
-    if isinstance(trial, ModuleTrial) or isinstance(initial.trial, ModuleTrial):
-        trial.network.load_state_dict(initial.trial.network.state_dict())
-        return
-    given, expected = _layout(initial.trial), _layout(trial)
-    if given != expected:
-        raise InputError(
-            f"initial has {given}, this training {expected}; "
-            "give the same hidden, activation and shared_weights"
-        )
+    if isinstance(trial, TrialSolution) and isinstance(initial.trial, TrialSolution):
+        given, expected = _layout(initial.trial), _layout(trial)
+        if given != expected:
+            raise InputError(
+                f"initial has {given}, this training {expected}; "
+                "give the same hidden, activation and shared_weights"
+            )
     trial.network.load_state_dict(initial.trial.network.state_dict())
 
 
@@ -318,7 +311,7 @@ def _rates_agree(solution: Solution, trial: ModuleTrial) -> bool:
     return bool((rate_defect(trial, solution.span) <= allowed).all())
 
 
-def _optimizer(method: JointTraining) -> Optimizer:
+def _optimizer(method: JointTraining) -> optimizers.Optimizer:
     points = int(method.points)
     match method:
         case Adam():

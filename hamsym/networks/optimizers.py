@@ -1,4 +1,4 @@
-"""Adam and L-BFGS of torch with the interface of :class:`hamsym.networks.training.Optimizer`."""
+"""What an optimizer does, and Adam and L-BFGS of torch."""
 
 from __future__ import annotations
 
@@ -12,24 +12,47 @@ from hamsym.networks.points import fresh_points, midpoints, points_between
 from hamsym.support.validation import require_whole
 
 
-class GradientOptimizer:
-    """Common part of the optimizers that need the loss and its gradient."""
+class Optimizer:
+    """An optimizer that changes the weights, one iteration at a time."""
 
     points: int
+    check_every: int  # iterations between evaluations at the fixed points
 
     def bind(
         self, trial: torch.nn.Module, objective: Objective, generator: torch.Generator
     ) -> None:
+        """Set the trial solution, the objective and the source of random numbers, once."""
         self._trial, self._objective, self._generator = trial, objective, generator
         self._parameters = list(trial.parameters())
         self._dtype, self._device = self._parameters[0].dtype, self._parameters[0].device
         self.reset()
 
     def reset(self) -> None:
+        """Reset the optimizer state after new weights were drawn."""
         raise NotImplementedError
 
+    def fixed_points(self, span: tuple[float, float]) -> Tensor:
+        """Return the points at which weights are judged, and which are never trained on."""
+        raise NotImplementedError
 
-class Adam(GradientOptimizer):
+    def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
+        """Perform one iteration.
+
+        - span: Span of the current stage.
+        - share: Its fraction of the whole span.
+        - done: Fraction of all iterations that are done.
+        - returns: The loss at the optimizer's points before the step, and the mean square of dz/dt
+          there.
+        """
+        raise NotImplementedError
+
+    @property
+    def stalled(self) -> bool:
+        """Whether further iterations would not lower the loss."""
+        return False
+
+
+class Adam(Optimizer):
     """Adam (Kingma & Ba 2015) on noisy points, as in the paper.
 
     Each iteration moves the collocation points by Gaussian noise, reflected into the span, so
@@ -44,7 +67,6 @@ class Adam(GradientOptimizer):
     """
 
     check_every = 50
-    stalled = False
 
     def __init__(
         self,
@@ -99,7 +121,7 @@ class Adam(GradientOptimizer):
         return end - moved.remainder_(2 * length).sub_(length).abs_()
 
 
-class QuasiNewton(GradientOptimizer):
+class QuasiNewton(Optimizer):
     """Common part of methods that stall after some failures in a row and draw random points."""
 
     check_every = 10

@@ -13,15 +13,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from hamsym.networks.best_weights import BestWeights
 from hamsym.networks.network import Network
 from hamsym.networks.objective import Objective
+from hamsym.networks.optimizers import Optimizer
 from hamsym.networks.record import History, Stopped, Training, TrainingState
 from hamsym.networks.rules import Progress, Stages, StageSchedule, Stopping
 
@@ -30,38 +29,6 @@ from hamsym.networks.rules import Progress, Stages, StageSchedule, Stopping
 _ONE_THREAD = 4_000_000
 # Mean square of the residual, relative to that of dz/dt, above which a stalled training restarts.
 _POOR = 1e-8
-
-
-class Optimizer(Protocol):
-    """An optimizer that changes the weights, one iteration at a time."""
-
-    points: int
-    check_every: int  # iterations between evaluations at the fixed points
-
-    def bind(
-        self, trial: torch.nn.Module, objective: Objective, generator: torch.Generator
-    ) -> None:
-        """Set the trial solution, the objective and the source of random numbers, once."""
-
-    def fixed_points(self, span: tuple[float, float]) -> Tensor:
-        """Return the points at which weights are judged, and which are never trained on."""
-
-    def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
-        """Perform one iteration.
-
-        - span: Span of the current stage.
-        - share: Its fraction of the whole span.
-        - done: Fraction of all iterations that are done.
-        - returns: The loss at the optimizer's points before the step, and the mean square of dz/dt
-          there.
-        """
-
-    @property
-    def stalled(self) -> bool:
-        """Whether further iterations would not lower the loss."""
-
-    def reset(self) -> None:
-        """Reset the optimizer state after new weights were drawn."""
 
 
 def train(

@@ -17,7 +17,7 @@ import torch
 import hamsym
 from hamsym import InputError, Solution
 from hamsym.networks import chain_training
-from hamsym.networks.chain_training import ChainRun, ChainSettings, Layout, TrainedChain
+from hamsym.networks.chain_training import ChainRun, ChainSettings, TrainedChain
 from hamsym.networks.window_training import _damped
 from hamsym.support.records import packed
 
@@ -117,12 +117,12 @@ def test_training_warns_of_nothing() -> None:
 
 def windows_of_pendulum(count: int, deadline: float | None = None) -> TrainedChain:
     H = hamsym.Hamiltonian("p**2/2 - cos(q)")
-    layout = Layout((8,), "sin", "exponential", 3.0)
+    method = hamsym.NetworkChain(hidden=(8,), windows=count)
     guess = hamsym.solve(H, [2.0, 0.3], (0, 4)).trial
-    settings = ChainSettings(1e-10, 20, math.inf, deadline)
+    settings = ChainSettings(1e-10, 20, method.envelope, deadline, limit=math.inf)
     generator = torch.Generator().manual_seed(0)
     edges = np.linspace(0, 4, count + 1)
-    return ChainRun(H, guess, edges, layout, settings, generator, equal=True).trained()
+    return ChainRun(H, guess, edges, method, settings, generator).trained()
 
 
 def test_no_steps_are_begun_after_the_deadline() -> None:
