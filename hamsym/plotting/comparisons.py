@@ -15,8 +15,6 @@ from hamsym.plotting.style import PAGE, SAMPLES, line_style, style_for, styled
 from hamsym.plotting.time_axes import LARGEST, log_lines, name_curves
 from hamsym.study.compare import Comparison, Row
 
-_PANELS = ("error", "energy", "plane", "work")
-
 
 def draw_comparison(comparison: Comparison, *names: Any, ax: Any = None) -> Any:
     """Draw a comparison; see :meth:`hamsym.Comparison.plot`."""
@@ -30,9 +28,9 @@ def draw_comparison(comparison: Comparison, *names: Any, ax: Any = None) -> Any:
     warning = comparison.facts.warning
     curves = _curves(comparison)
     if names:
-        panel = known_name(names[0], _PANELS, "a panel of a comparison")
+        panel = known_name(names[0], list(_PANELS), "a panel of a comparison")
         with one_panel(ax, caption, warning, height=7.0) as axes, style_for(ax):
-            _draw(panel, axes, comparison, curves)
+            _PANELS[panel](axes, comparison, curves)
             legend(axes)
             return figure_of(axes)
     require_no_axes(ax, "'error'")
@@ -41,8 +39,8 @@ def draw_comparison(comparison: Comparison, *names: Any, ax: Any = None) -> Any:
         figure = Figure.of_size(PAGE, 12.5 + keys, caption, warning)
         grid = figure.add_gridspec(3, 2, height_ratios=(5.6, 5.6, keys))
         panels = [figure.add_subplot(grid[k // 2, k % 2]) for k in range(4)]
-        for panel, one in zip(_PANELS, panels, strict=True):
-            _draw(panel, one, comparison, curves)
+        for draw, one in zip(_PANELS.values(), panels, strict=True):
+            draw(one, comparison, curves)
         handles, labels = panels[0].get_legend_handles_labels()
         row = figure.add_subplot(grid[2, :])
         row.set_axis_off()
@@ -60,12 +58,6 @@ def _curves(comparison: Comparison) -> list[tuple[str, np.ndarray, np.ndarray, d
         label = f"{row.label}, {amount}".replace("_", " ")
         curves.append((label, path.t, path.z, line_style(place + 1)))
     return curves
-
-
-def _draw(panel: str, axes: Axes, comparison: Comparison, curves: list[Any]) -> None:
-    {"error": _draw_error, "energy": _draw_energy, "plane": _draw_plane, "work": _draw_work}[panel](
-        axes, comparison, curves
-    )
 
 
 def _draw_error(axes: Axes, comparison: Comparison, curves: list[Any]) -> None:
@@ -121,7 +113,7 @@ def _draw_plane(axes: Axes, comparison: Comparison, curves: list[Any]) -> None:
         label(axis, f"error of {math_name(name)}", unit)
 
 
-def _draw_work(axes: Axes, comparison: Comparison, curves: list[Any]) -> None:
+def _draw_work(axes: Axes, comparison: Comparison, _: list[Any]) -> None:
     """Draw errors against evaluations of the vector field."""
     network = comparison.rows[0]
     for i, name in enumerate(comparison.matches):
@@ -134,6 +126,9 @@ def _draw_work(axes: Axes, comparison: Comparison, curves: list[Any]) -> None:
     axes.axhline(network.error, color=style["color"], linewidth=0.8, linestyle=":")
     axes.set_title("Error against work")
     axes.set(xlabel="evaluations of the vector field", ylabel=r"$\max|\delta z|$")
+
+
+_PANELS = {"error": _draw_error, "energy": _draw_energy, "plane": _draw_plane, "work": _draw_work}
 
 
 def _shown(comparison: Comparison) -> list[tuple[Row, Trajectory]]:

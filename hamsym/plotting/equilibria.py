@@ -139,7 +139,13 @@ def _sizes_of(found: Equilibria, there: list[int], i: int, j: int) -> tuple[floa
     it has changed H as much.
     """
     H = found.H
-    if len(there) != 1 or H.dof != 1 or H.time is not None or H.unbound_parameters:
+    if (
+        len(there) != 1
+        or found.undecided
+        or H.dof != 1
+        or H.time is not None
+        or H.unbound_parameters
+    ):
         return None
     place = np.asarray(found[there[0]].z, dtype=float)
     system = H.compile("numpy")
@@ -175,27 +181,20 @@ def _set_limits(
     sizes: tuple[float, float] | None,
 ) -> None:
     """Leave room around the places: half of their extent, or sizes of their own."""
-    if sizes is not None and not equal:
-        middles = (float(found[there[0]].z[i]), float(found[there[0]].z[j]))
-        (left, right), (low, high) = (
-            (middle - 2 * half, middle + 2 * half)
-            for middle, half in zip(middles, sizes, strict=True)
-        )
-        axes.set(xlim=(left, right), ylim=(low, high))
-        return
-    sides = []
+    middles, halves = [], []
     for column in (i, j):
         ends = [found[k].z[column] for k in there]
         ends += [end[column] for region in found.undecided for end in (region.low, region.high)]
-        low, high = min(ends), max(ends)
-        sides.append(((low + high) / 2, (high - low) / 2))
-    largest = max(half for _, half in sides)
-    limits = []
-    for middle, half in sides:
+        middles.append(float(min(ends) + max(ends)) / 2)
+        halves.append(float(max(ends) - min(ends)) / 2)
+    largest, rooms = max(halves), []
+    for middle, half in zip(middles, halves, strict=True):
         room = half if half > 1e-9 * max(largest, abs(middle)) else max(largest, abs(middle)) or 1.0
-        room = max(room, largest) if equal else room
-        limits.append((middle - 1.5 * room, middle + 1.5 * room))
-    axes.set(xlim=limits[0], ylim=limits[1])
+        rooms.append(1.5 * (max(room, largest) if equal else room))
+    if sizes is not None and not equal:
+        rooms = [2 * size for size in sizes]
+    (x, y), (width, height) = middles, rooms
+    axes.set(xlim=(x - width, x + width), ylim=(y - height, y + height))
 
 
 def _draw_behind(axes: Axes, H: Hamiltonian, x: str, y: str) -> list[Any]:

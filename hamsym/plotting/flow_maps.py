@@ -40,13 +40,14 @@ def draw_flow_map(flow: FlowMap, *names: Any, ax: Any = None) -> Any:
                 _draw_range(axes, flow, chosen[0])
             else:
                 _draw_plane(axes, flow, *chosen)
-            _legend(axes, len(chosen) == 2)
+            axes.legend(fontsize=6, ncols=len(chosen))
             return figure_of(axes)
     require_no_axes(ax, f"'{H.names[0]}', '{H.names[H.dof]}'")
     whole = flow.region.is_whole
     total = H.dof if whole else H.dim
     shown = min(total, _MOST)
-    chosen_dofs = list(range(shown)) if whole else _spread(H.dof, H.dim, shown)
+    pairs = [k + side for k in range(H.dof) for side in (0, H.dof)]
+    chosen_dofs = list(range(shown)) if whole else pairs[:shown]
     others: list[str] = []
     components = [H.observable(name) for name in H.names]
     if shown < total:
@@ -68,19 +69,8 @@ def draw_flow_map(flow: FlowMap, *names: Any, ax: Any = None) -> Any:
                 _draw_range(axes, flow, components[k])
         for axes in grid[shown:]:
             axes.remove()
-        _legend(grid[0], whole)
+        grid[0].legend(fontsize=6, ncols=2 if whole else 1)
         return figure
-
-
-def _spread(dof: int, dim: int, shown: int) -> list[int]:
-    """Return components of an overview: coordinates beside their momenta."""
-    pairs = [k + side for k in range(dof) for side in (0, dof)]
-    return pairs[: min(shown, dim)]
-
-
-def _legend(axes: Axes, planes: bool) -> None:
-    style: dict[str, Any] = {"fontsize": 6}
-    axes.legend(**style, ncols=2 if planes else 1)
 
 
 def _caption(flow: FlowMap, *sentences: Any, over_time: bool, planes: bool) -> list[str]:

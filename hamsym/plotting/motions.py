@@ -18,7 +18,7 @@ from hamsym.codegen.observable import Observable
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.plotting.captions import axis_words, caption_words, formula_of
-from hamsym.plotting.figure import Figure, color_bar, figure_of, label, legend, one_panel
+from hamsym.plotting.figure import color_bar, figure_of, label, legend, one_panel
 from hamsym.plotting.names import (
     distinct_numbers,
     math_name,
@@ -411,21 +411,21 @@ def draw_motion(motion: Motion, drawn: Sequence[Observable], ax: Any) -> Any:
 
     Raise InputError if a formula has no value at any time.
     """
-    missing = _missing(motion)
-    if len(drawn) == 3:
-        return _draw_space(motion, drawn, missing, ax)
-    wider = 1.0 if motion.mapped else 1.8 if any(motion.labels()) else 0.0
-    height, width = 6.0 if len(drawn) == 1 else 7.5, COLUMN + wider
-    panel = one_panel(ax, motion.caption(), motion.warning, width=width, height=height)
-    with panel as axes, style_for(ax):
-        notes: list[Any] = missing
+    notes, spatial = _missing(motion), len(drawn) == 3
+    wider = 1.0 if motion.mapped or spatial else 1.8 if any(motion.labels()) else 0.0
+    size: dict[str, Any] = {"width": COLUMN + wider, "height": 6.0 if len(drawn) == 1 else 7.5}
+    size["projection"] = "3d" if spatial else None
+    with one_panel(ax, motion.caption(), motion.warning, **size) as axes, style_for(ax):
         if len(drawn) == 1:
             over_time(axes, motion, drawn[0])
+        elif spatial:
+            notes += in_space(axes, motion, drawn)
         else:
-            notes = missing + in_plane(axes, motion, *drawn)
+            notes += in_plane(axes, motion, *drawn)
             if ax is None and not motion.formulas:
                 axes.set_title(plane_title(motion.H, drawn[0].text, drawn[1].text))
-        motion.legend(axes, **BESIDE if ax is None else {})
+        beside = BESIDE if ax is None else {}
+        motion.legend(axes, **({"loc": "upper left"} if spatial else beside))
         motion.color_bar(axes)
         figure = figure_of(axes)
         if ax is None and notes:
@@ -451,17 +451,3 @@ def _missing(motion: Motion) -> list[Any]:
                 f"{lost.size:,} states drawn, where lines have gaps"
             )
     return notes
-
-
-def _draw_space(
-    motion: Motion, drawn: Sequence[Observable], missing: Sequence[Any], ax: Any
-) -> Any:
-    size: dict[str, Any] = {"width": COLUMN + 1, "height": 7.5, "projection": "3d"}
-    with one_panel(ax, motion.caption(), motion.warning, **size) as axes, style_for(ax):
-        notes = in_space(axes, motion, drawn)
-        motion.legend(axes, loc="upper left")
-        figure = figure_of(axes)
-        if isinstance(figure, Figure):
-            motion.color_bar(axes)
-            figure.set_caption(motion.caption(*missing, *notes), motion.warning)
-        return figure

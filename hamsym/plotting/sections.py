@@ -17,7 +17,7 @@ from hamsym.errors import InputError
 from hamsym.plotting.captions import axis_words, caption_words, formula_of
 from hamsym.plotting.figure import color_bar, figure_of, label, one_panel
 from hamsym.plotting.motions import parameters_of, varying
-from hamsym.plotting.names import distinct_numbers, math_name, number, with_unit
+from hamsym.plotting.names import distinct_numbers, escaped, math_name, number, with_unit
 from hamsym.plotting.style import COLORS, COLUMN, GREY, MAX_LINES, shades, style_for
 from hamsym.problems.surface import parse_surface
 
@@ -84,7 +84,8 @@ def draw_section(section: Section, *names: Any, ax: Any = None) -> Any:
             _draw_boundary(axes, *level)
             if ax is None:
                 figure_of(axes).set_caption([*words, *_BOUNDARY.split()], warning)
-        axes.set_title(f"Section {_surface_text(section)}")
+        surface = escaped(section.surface)
+        axes.set_title(f"Section {surface if len(surface) <= 40 else f'{surface[:39]}…'}")
         return figure_of(axes)
 
 
@@ -217,9 +218,3 @@ def _directions(section: Section) -> tuple[np.ndarray, str]:
     if rising.all() or not rising.any():
         return np.ones_like(rising), f"{left} is crossed {'up' if rising.all() else 'down'}wards"
     return rising, f"Dots: {left} is crossed upwards; crosses: downwards"
-
-
-def _surface_text(section: Section) -> str:
-    """Return the surface, shortened if it is long."""
-    text = section.surface.replace("$", r"\$")
-    return text if len(text) <= 40 else f"{text[:39]}…"

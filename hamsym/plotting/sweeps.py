@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +18,9 @@ from hamsym.study.sweep import Sweep
 _WIDE = 30.0  # ratio of the largest to the smallest value from which an axis is logarithmic
 _RED: dict[str, Any] = {"color": WARNING, "marker": "x", "linestyle": "none", "zorder": 4}
 _NAMES = 30  # settings of a figure
+# What is drawn: an attribute of the runs, title, words for the axis and unit.
+_ERROR = ("relative_error", "Error", "largest estimated error / size")
+_TIME = ("seconds", "Time", "computing time", "s")
 
 
 def _is_wide(values: np.ndarray) -> bool:
@@ -91,29 +93,18 @@ def draw_sweep(sweep: Sweep, *names: Any, ax: Any = None) -> Any:
         sentences.append(f"Names are those of {_NAMES} settings at most")
     sentences.append("Errors are the largest estimated ones, relative to the size of the motion")
     panels = {
-        "error": Panel(functools.partial(_draw_errors, sweep=sweep, layout=layout), 7.0),
-        "time": Panel(functools.partial(_draw_times, sweep=sweep, layout=layout), 7.0),
+        "error": Panel(lambda axes: _draw_runs(axes, sweep, layout, *_ERROR), 7.0),
+        "time": Panel(lambda axes: _draw_runs(axes, sweep, layout, *_TIME), 7.0),
     }
     caption = caption_words(runs[0][0].H, *sentences)
     return draw_panels(panels, list(panels), names, ax, caption, sweep.facts.warning)
 
 
-def _draw_errors(axes: Axes, sweep: Sweep, layout: _Layout) -> None:
-    values = [[run.relative_error for run in own] for own in sweep.solutions.values()]
-    _draw_runs(axes, sweep, layout, np.array(values))
-    axes.set_title("Error")
-    label(axes.yaxis, "largest estimated error / size")
-
-
-def _draw_times(axes: Axes, sweep: Sweep, layout: _Layout) -> None:
-    values = [[run.record.seconds for run in own] for own in sweep.solutions.values()]
-    _draw_runs(axes, sweep, layout, np.array(values))
-    axes.set_title("Time")
-    label(axes.yaxis, "computing time", "s")
-
-
-def _draw_runs(axes: Axes, sweep: Sweep, layout: _Layout, values: np.ndarray) -> None:
-    """Draw one value of each run, shape (settings, seeds)."""
+def _draw_runs(
+    axes: Axes, sweep: Sweep, layout: _Layout, name: str, title: str, *words: str
+) -> None:
+    """Draw an attribute of each run, with a title and words for its axis."""
+    values = np.array([[getattr(run, name) for run in own] for own in sweep.solutions.values()])
     good = np.array([[bool(run.success) for run in own] for own in sweep.solutions.values()])
     if (values[np.isfinite(values)] > 0).any():
         axes.set_yscale("log")
@@ -143,4 +134,6 @@ def _draw_runs(axes: Axes, sweep: Sweep, layout: _Layout, values: np.ndarray) ->
         axes.set_xlim(-0.6, len(layout.x) - 0.4)
     else:
         label(axes.xaxis, escaped(layout.title))
+    axes.set_title(title)
+    label(axes.yaxis, *words)
     legend(axes)
