@@ -148,7 +148,6 @@ class BlockSolver:
         """Put the members of a batch, and those that were solved by themselves, in order."""
         members = self._members
         table = Table.empty(members.states[chunk], members.parameters[chunk])
-        parts: list[Packed] = []
         accepted = np.zeros(len(chunk), dtype=bool) if batch is None else batch.accepted
         if batch is not None:
             table.status[accepted], table.success[accepted] = ACCEPTED, True
@@ -158,7 +157,7 @@ class BlockSolver:
         edges = np.cumsum(np.where(accepted, table.counts + 1, 0))
         places = np.cumsum(np.where(accepted, table.counts, 0))
         notes: dict[int, Note] = {}
-        parts, edge, window = [], 0, 0
+        parts, edge, window = list[Packed](), 0, 0
         for place, solution in sorted(found.items()):
             if isinstance(solution, str):
                 table.status[place], notes[place] = REFUSED, Note(solution)

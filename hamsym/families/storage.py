@@ -147,11 +147,9 @@ def _contents_of(solutions: Solutions) -> FileContents:
     return found
 
 
-def _solutions_of(contents: FileContents) -> Solutions:
-    return contents.solutions(pieces_of([contents.packed]))
-
-
-convert(Solutions, FileContents, _contents_of, _solutions_of)
+convert(
+    Solutions, FileContents, _contents_of, lambda found: found.solutions(pieces_of([found.packed]))
+)
 
 
 class WindowStore:

@@ -101,7 +101,7 @@ def profiled(
         )
         again = below == last[rows]
         last[rows] = below
-        before.put(rows[below], _taken(inner, rows[below]), np.arange(below.sum()))
+        before.put(rows[below], inner, rows[below])
         inner.put(rows[below], tried, below)
         outer.put(rows[~below], tried, ~below)
         distance[rows] = _next(before, inner, outer, level, room, rows, again)
@@ -114,10 +114,6 @@ def profiled(
     ends = minima[every, columns] + signs * _crossing(before, inner, outer, level)
     ends = np.where(closed, ends, signs * np.inf)
     return Profiles(np.where(signs > 0, np.minimum(ends, limit), np.maximum(ends, limit)), better)
-
-
-def _taken(points: _Points, rows: np.ndarray) -> _Points:
-    return _Points(points.distance[rows], points.tau[rows], points.values[rows])
 
 
 def _predicted(

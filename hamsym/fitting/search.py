@@ -64,14 +64,11 @@ class Model:
         size = len(self.observed.t) * self.unknowns.H.dim * values.shape[1]
         step = max(1, _BATCH // size)
         parts = [
-            self._part(values[k : k + step], sets[k : k + step])
+            self._weighted(*self._observed(values[k : k + step]), sets[k : k + step])
             for k in range(0, len(values), step)
         ]
         residuals, slopes = zip(*parts, strict=True)
         return np.concatenate(residuals), np.concatenate(slopes)
-
-    def _part(self, values: np.ndarray, sets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return self._weighted(*self._observed(values), sets)
 
     def _weighted(
         self, found: np.ndarray, slopes: np.ndarray, sets: np.ndarray

@@ -16,6 +16,7 @@ import sympy
 
 from hamsym.codegen.functions import compile_expressions
 from hamsym.errors import InputError, ParameterError, VariableError
+from hamsym.flow_maps.expansion import plain
 from hamsym.formula.parser import canonical_name, parse_expression
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.support.record_fields import floats
@@ -166,7 +167,7 @@ class Box:
                     f"'{name}' is given by the parameters, {self.expressions[name]}; leave it out "
                     "of z0"
                 )
-            if not np.all(np.asarray(_plain(value), dtype=float) == self.fixed[name]):
+            if not np.all(np.asarray(plain(value), dtype=float) == self.fixed[name]):
                 raise VariableError(
                     f"'{name}' is {self.fixed[name]:g} for all starts of this map; leave it out of "
                     "z0, or build a map in which it varies"
@@ -354,7 +355,3 @@ def _sort(
             f"{name}={value!r} is not an interval; give (low, high) with low below high"
         )
     intervals[name] = (low, high)
-
-
-def _plain(value: Any) -> Any:
-    return value.detach().cpu().numpy() if hasattr(value, "detach") else value

@@ -14,7 +14,7 @@ import numpy as np
 
 from hamsym.errors import InputError
 from hamsym.orbits.arc import Arc, Problem
-from hamsym.orbits.continuation import Bifurcation, converged_across, displaced, pinned
+from hamsym.orbits.continuation import Bifurcation, orbit_beside
 from hamsym.orbits.integrals import slice_of
 from hamsym.orbits.newton_system import NewtonSystem
 from hamsym.orbits.orbit import PeriodicOrbit, solved_orbit
@@ -123,14 +123,8 @@ class _Leaving:
 
     def at(self, distance: float, tol: float) -> PeriodicOrbit | None:
         """The orbit at a distance, or None."""
-        change = distance * self.direction * self.units
-        found = displaced(self.problem, self.arc, self.system, change)
-        if found is not None:
-            found = converged_across(*found, self.direction, self.units)
-        if found is None:
-            return None
-        made = solved_orbit(pinned(*found), found[1], tol)
-        return made if made.success else None
+        change, along = distance * self.direction * self.units, (self.direction, self.units)
+        return orbit_beside(self.problem, self.arc, self.system, change, along, tol)
 
 
 def _leaving(problem: Problem, arc: Arc, along: np.ndarray) -> _Leaving | None:
@@ -143,7 +137,9 @@ def _leaving(problem: Problem, arc: Arc, along: np.ndarray) -> _Leaving | None:
         vectors = system.null_vectors(_GAP)
     if vectors is None:
         return None
-    count, units = arc.ends.size, _natural(arc, system.units)
+    count = arc.ends.size
+    # Coordinates count alike in the extent of the motion, and momenta.
+    units = np.concatenate([np.tile(_extents(arc), len(arc.ends)), system.units[count:]])
     weights = np.ones(len(units))
     weights[:count] = 1 / np.sqrt(count)
     vectors = vectors * system.units / units * weights
@@ -156,13 +152,6 @@ def _leaving(problem: Problem, arc: Arc, along: np.ndarray) -> _Leaving | None:
         return None
     largest = found[np.argmax(np.abs(found[:count]))]
     return _Leaving(problem, arc, system, found / size * np.sign(largest), units)
-
-
-def _natural(arc: Arc, units: np.ndarray) -> np.ndarray:
-    """Extents of the motion in which coordinates count alike, and momenta; other units as they
-    are.
-    """
-    return np.concatenate([np.tile(_extents(arc), len(arc.ends)), units[arc.ends.size :]])
 
 
 def _extents(arc: Arc) -> np.ndarray:

@@ -108,56 +108,43 @@ class OrbitCertificate(SealedText):
 
     def verify(self, orbit: PeriodicOrbit, *, time_limit: float | None = None) -> None:
         """Prove the claims again; see :func:`hamsym.verify`."""
-        verify_orbit(self, orbit, time_limit)
+        self._require_form(orbit)
+        found = hamsym.prove_orbit(orbit, time_limit=time_limit)
+        proven = {
+            "z0": _is_within(found.z0, self.z0),
+            "period": _is_within(found.period, self.period),
+            "monodromy": _is_within(found.monodromy, self.monodromy),
+            "bound": found.bound <= self.bound,
+            "unique_within": self.unique_within <= found.unique_within,
+            "stability": self.stability in (found.stability, *WEAKER[found.stability]),
+            "pieces": self.pieces == found.pieces,
+            "components": self.components == found.components,
+        }
+        for name, holds in proven.items():
+            if not holds:
+                raise CertificationError(f"the {name} of the certificate is not proven")
 
     def require_form(self, orbit: PeriodicOrbit) -> None:
         """Require that the certificate is one of an orbit, which evaluates its stored states."""
-        _require_form(self, orbit)
+        self._require_form(orbit)
         check_orbit(orbit, orbit.arc.edges[:-1], orbit.arc.ends[:-1])
 
-
-def _require_form(claims: hamsym.OrbitCertificate, orbit: hamsym.PeriodicOrbit) -> None:
-    if not isinstance(orbit, hamsym.PeriodicOrbit):
-        raise InputError(
-            f"a certificate of an orbit needs its PeriodicOrbit, not {type(orbit).__name__}"
-        )
-    try:
-        type(claims).from_json(claims.to_json())
-    except (FileError, ValueError, TypeError) as error:
-        raise CertificationError(f"not a valid certificate: {error}") from None
-    if orbit_digest(orbit) != claims.digest:
-        raise CertificationError("the certificate does not belong to this orbit (SHA-256 mismatch)")
-    stated = statement_of(
-        orbit.problem,
-        claims.period,
-        claims.bound,
-        claims.unique_within,
-        claims.stability,
-        claims.pieces,
-    )
-    if claims.statement != stated:
-        raise CertificationError("the statement of the certificate does not match its numbers")
-
-
-def verify_orbit(
-    claims: hamsym.OrbitCertificate, orbit: hamsym.PeriodicOrbit, time_limit: float | None
-) -> None:
-    """Prove a certificate of an orbit again; see :func:`hamsym.verify`."""
-    _require_form(claims, orbit)
-    found = hamsym.prove_orbit(orbit, time_limit=time_limit)
-    proven = {
-        "z0": _is_within(found.z0, claims.z0),
-        "period": _is_within(found.period, claims.period),
-        "monodromy": _is_within(found.monodromy, claims.monodromy),
-        "bound": found.bound <= claims.bound,
-        "unique_within": claims.unique_within <= found.unique_within,
-        "stability": claims.stability in (found.stability, *WEAKER[found.stability]),
-        "pieces": claims.pieces == found.pieces,
-        "components": claims.components == found.components,
-    }
-    for name, holds in proven.items():
-        if not holds:
-            raise CertificationError(f"the {name} of the certificate is not proven")
+    def _require_form(self, orbit: PeriodicOrbit) -> None:
+        if not isinstance(orbit, hamsym.PeriodicOrbit):
+            raise InputError(
+                f"a certificate of an orbit needs its PeriodicOrbit, not {type(orbit).__name__}"
+            )
+        try:
+            type(self).from_json(self.to_json())
+        except (FileError, ValueError, TypeError) as error:
+            raise CertificationError(f"not a valid certificate: {error}") from None
+        if orbit_digest(orbit) != self.digest:
+            raise CertificationError(
+                "the certificate does not belong to this orbit (SHA-256 mismatch)"
+            )
+        numbers = self.period, self.bound, self.unique_within, self.stability, self.pieces
+        if self.statement != statement_of(orbit.problem, *numbers):
+            raise CertificationError("the statement of the certificate does not match its numbers")
 
 
 def _is_within(inner: Ball, outer: Ball) -> bool:
@@ -195,7 +182,7 @@ def statement_of(
         f"{_equation(problem.H)} has a periodic orbit {energy}with a period in "
         f"{period.mid!r} +- {_rounded_up(period.radius)}. {places} it is within "
         f"{_rounded_up(bound)} of the computed states, relative to the size of each component, "
-        f"and no other one with {alike} is within {_rounded_down(unique)} of it{modulo}."
+        f"and no other one with {alike} is within {unique * 0.94:.1e} of it{modulo}."
     )
     return statement if stability == "undecided" else f"{statement} It is {stability}."
 
@@ -215,7 +202,3 @@ def _equation(H: Hamiltonian) -> str:
 
 def _rounded_up(value: float) -> str:
     return f"{value * 1.06:.1e}" if value else "0"
-
-
-def _rounded_down(value: float) -> str:
-    return f"{value * 0.94:.1e}"

@@ -165,13 +165,10 @@ class Continuation:
         """The orbit at a distance along the tangent, or None."""
         orbit, system = here.orbit, here.system
         change = distance * _unweighted(here.tangent, orbit.arc) * system.units
-        found = displaced(self._problem_of(orbit), orbit.arc, system, change)
-        if found is not None:
-            found = converged_across(*found, here.tangent, system.units)
-        if found is None:
-            return None
-        made = solved_orbit(pinned(*found), found[1], self._tol if tol is None else tol)
-        return made if made.success else None
+        along = here.tangent, system.units
+        return orbit_beside(
+            self._problem_of(orbit), orbit.arc, system, change, along, tol or self._tol
+        )
 
     def _locate(self, here: _Point, there: _Point) -> None:
         """Add the bifurcations between neighbours."""
@@ -259,7 +256,7 @@ def _extent(orbit: PeriodicOrbit) -> np.ndarray:
     return np.asarray(np.ptp(orbit.arc.ends, axis=0))
 
 
-def pinned(problem: Problem, arc: Arc) -> Problem:
+def _pinned(problem: Problem, arc: Arc) -> Problem:
     """The problem of one orbit of a family."""
     if problem.energy is not None or problem.period is not None:
         return replace(problem, parameter=None)
@@ -275,12 +272,17 @@ def _varied(problem: Problem, change: float) -> Problem:
     )
 
 
-def displaced(
-    problem: Problem, arc: Arc, system: NewtonSystem, change: np.ndarray
-) -> tuple[Problem, Arc] | None:
-    """Move an arc along a solution of its linear system, or None if the period is not positive.
+def orbit_beside(
+    problem: Problem,
+    arc: Arc,
+    system: NewtonSystem,
+    change: np.ndarray,
+    along: tuple[np.ndarray, np.ndarray],
+    tol: float,
+) -> PeriodicOrbit | None:
+    """Move an arc by a solution of its linear system to another orbit, or None.
 
-    - change: Of the states at the ends of windows, the period and the parameter.
+    - along: Direction across which Newton's method follows, and its units.
     """
     count = arc.ends.size
     ends = arc.ends + change[:count].reshape(arc.ends.shape)
@@ -288,10 +290,16 @@ def displaced(
     if problem.parameter is not None:
         problem = _varied(problem, float(change[count + 1]))
     period = arc.period + float(change[count])
-    return (problem, Arc(arc.edges, ends, values, period)) if period > 0 else None
+    if not period > 0:
+        return None
+    found = _converged_across(problem, Arc(arc.edges, ends, values, period), *along)
+    if found is None:
+        return None
+    made = solved_orbit(_pinned(*found), found[1], tol)
+    return made if made.success else None
 
 
-def converged_across(
+def _converged_across(
     problem: Problem, arc: Arc, tangent: np.ndarray, units: np.ndarray
 ) -> tuple[Problem, Arc] | None:
     """Newton's method across the tangent, or None."""

@@ -15,6 +15,7 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof.arithmetic.ball import Ball
 from hamsym.support.validation import require_positive
 from hamsym.symbolic import derivatives
+from hamsym.symbolic.equations import free_symbols
 from hamsym.symbolic.exact import rational, without_floats
 
 if TYPE_CHECKING:
@@ -85,7 +86,8 @@ def in_units_of_the_arc(problem: Problem, parts: int) -> tuple[Hamiltonian, str 
     exact = without_floats(problem.exact_period.formula)
     if problem.autonomous:
         return _moved(H, exact / parts, {}, {}), None
-    by_name = {symbol.name: symbol for symbol in _symbols(H)}
+    symbols = free_symbols((H.expr, *H.forces.values()))
+    by_name = {symbol.name: symbol for symbol in symbols}
     exact = exact.xreplace({s: by_name[s.name] for s in exact.free_symbols if s.name in by_name})
     later = {H.time: H.time + exact}
     for formula in map(without_floats, (H.expr, *H.forces.values())):
@@ -96,10 +98,6 @@ def in_units_of_the_arc(problem: Problem, parts: int) -> tuple[Hamiltonian, str 
             )
     start = rational(problem.start)
     return _moved(H, exact, {H.time: start + exact * H.time}, {}), None
-
-
-def _symbols(H: Hamiltonian) -> set[sympy.Symbol]:
-    return H.expr.free_symbols.union(*(force.free_symbols for force in H.forces.values()))
 
 
 def _moved(

@@ -79,24 +79,22 @@ class SignedPermutation:
     @cached_property
     def conditions(self) -> np.ndarray:
         """Independent rows c with c z = 0 for all z = S z, of an involution."""
-        rows = []
-        for i, (place, sign) in enumerate(zip(self.places, self.signs, strict=True)):
-            if place == i and sign == -1:
-                rows.append(np.eye(len(self.places))[i])
-            elif place > i:
-                rows.append(np.eye(len(self.places))[i] - sign * np.eye(len(self.places))[place])
-        return np.array(rows).reshape(-1, len(self.places))
+        return self._rows(-1)
 
     @cached_property
     def fixed_basis(self) -> np.ndarray:
         """Columns that span all z = S z, with entries 0, 1 and -1, of an involution."""
-        columns = []
+        return self._rows(1).T
+
+    def _rows(self, side: int) -> np.ndarray:
+        """A basis of all z = side * S z, of an involution, one in a row."""
+        unit, rows = np.eye(len(self.places)), []
         for i, (place, sign) in enumerate(zip(self.places, self.signs, strict=True)):
-            if place == i and sign == 1:
-                columns.append(np.eye(len(self.places))[i])
+            if place == i and sign == side:
+                rows.append(unit[i])
             elif place > i:
-                columns.append(np.eye(len(self.places))[i] + sign * np.eye(len(self.places))[place])
-        return np.array(columns).reshape(-1, len(self.places)).T
+                rows.append(unit[i] + side * sign * unit[place])
+        return np.array(rows).reshape(-1, len(self.places))
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -249,7 +249,9 @@ def compare(
         amounts = _TOLERANCES if adaptive else [factor * count for factor in _FACTORS]
         paths = [run(solution, name, amount) for amount in amounts]
         for amount, path in zip(amounts, paths, strict=True):
-            rows.append(_trajectory_row(path, truth, solution, amount if adaptive else None))
+            cost = path.steps, path.evaluations, path.seconds
+            row = _row(path.method, path.t, path.z, truth, solution, *cost)
+            rows.append(replace(row, tolerance=amount) if adaptive else row)
         trajectories += paths
         matches[name] = find_match(solution, name, network.error, paths, truth, max_steps)
     return Comparison(
@@ -303,7 +305,8 @@ def measure(
     True
     """
     times = np.linspace(*solution.span, SAMPLES + 1)
-    return _row(label, times, solution(times), truth, solution)
+    cost = solution.points, solution.evaluations, solution.record.seconds
+    return _row(label, times, solution(times), truth, solution, *cost)
 
 
 def _row(
@@ -312,41 +315,21 @@ def _row(
     z: np.ndarray,
     truth: Callable[[np.ndarray], np.ndarray],
     solution: Solution,
-    **more: Any,
+    points: int,
+    evaluations: int,
+    seconds: float,
 ) -> Row:
     """Return the errors of states z at times t."""
     system, right = solution.H.compile("numpy"), truth(t)
     with np.errstate(all="ignore"):  # steps that are far too long leave the domain of H
         energy_error = largest(np.abs(system.at("energy", z, t) - system.at("energy", right, t)))
     reached = t[-1] == solution.span[1]
-    settings: dict[str, Any] = {
-        "points": solution.points,
-        "evaluations": solution.evaluations,
-        "seconds": solution.record.seconds,
-    }
     return Row(
         label,
+        points,
+        evaluations,
         error=largest(np.linalg.norm(z - right, axis=-1)) if reached else math.inf,
         component_errors=np.nan_to_num(np.abs(z - right), nan=np.inf, posinf=np.inf).max(axis=0),
         energy_error=energy_error if reached else math.inf,
-        **(settings | more),
-    )
-
-
-def _trajectory_row(
-    trajectory: Trajectory,
-    truth: Callable[[np.ndarray], np.ndarray],
-    solution: Solution,
-    tolerance: float | None,
-) -> Row:
-    return _row(
-        trajectory.method,
-        trajectory.t,
-        trajectory.z,
-        truth,
-        solution,
-        points=trajectory.steps,
-        evaluations=trajectory.evaluations,
-        seconds=trajectory.seconds,
-        tolerance=tolerance,
+        seconds=seconds,
     )

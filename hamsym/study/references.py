@@ -11,7 +11,6 @@ So it does where a solution that succeeded is further from DOP853 than both erro
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -108,19 +107,12 @@ def largest(values: np.ndarray) -> float:
 
 
 def _enclosed(H: Hamiltonian, z0: np.ndarray, span: tuple[float, float]) -> ReferenceSolution:
-    _compile_enclosures()
     enclosure = enclose(H, z0, span, time_limit=_ENCLOSURE_SECONDS)
     states = _middle(enclosure)
     times = np.linspace(*span, _TESTED + 1)
     balls = enclosure(times)
     error = largest(np.linalg.norm(np.abs(states(times) - balls.mid) + balls.radius, axis=-1))
     return ReferenceSolution(states, error, f"the exact solution, enclosed to {error:.0e}")
-
-
-@functools.cache
-def _compile_enclosures() -> None:
-    """Compile the loops of enclosures, so that the time limit is that of enclosing."""
-    enclose("p**2/2 + x**2/2", [1.0, 0.0], (0.0, 1.0))
 
 
 def _middle(enclosure: Enclosure) -> Callable[[np.ndarray], np.ndarray]:
