@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import sympy
-from flint import arb
+from flint import arb, arb_mat
 
 from hamsym.codegen.functions import compile_straight_line
 from hamsym.errors import CertificationError
@@ -64,7 +64,6 @@ _NEAR = 0.01
 _NEWTON = 12
 
 _Vector = list[arb]
-_Matrix = list[list[arb]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,7 +241,7 @@ class _Crossing:
 
     t: arb
     z: _Vector
-    derivative: _Matrix
+    derivative: list[_Vector]
     slope: _Vector
     rising: bool
 
@@ -291,27 +290,18 @@ class _Formulas:
         slopes = [sympy.diff(surface, symbol) for symbol in symbols]
         self._surface = compile_straight_line([surface, *slopes], symbols)
         self._conditions = compile_straight_line(conditions, symbols) if conditions else None
-        self._functions, self._forced = GeneratedFunctions(H, BALLS), bool(H.forces)
-        self._dim, self._dof = H.dim, H.dof
+        self._functions = GeneratedFunctions(H, BALLS)
 
     def rates(self, z: _Vector, t: arb) -> _Vector:
         """F(z, t)."""
         return [arb(rate) for rate in self._functions("vector_field", z, t)]
 
-    def slopes(self, z: _Vector, t: arb) -> _Matrix:
+    def slopes(self, z: _Vector, t: arb) -> arb_mat:
         """DF(z, t)."""
-        rows = [[arb(0)] * self._dim for _ in range(self._dim)]
-        if self._forced:
-            for (i, j), entry in self._functions("jacobian", z, t).items():
-                rows[i][j] = arb(entry)
-            return rows
-        for (i, j), entry in self._functions("hessian", z, t).items():
-            for row, column in {(i, j), (j, i)}:
-                if row >= self._dof:
-                    rows[row - self._dof][column] = arb(entry)
-                else:
-                    rows[row + self._dof][column] = -entry
-        return rows
+        found = arb_mat(len(z), len(z))
+        for place, entry in self._functions("jacobian", z, t).items():
+            found[place] = entry
+        return found
 
     def surface(self, z: _Vector, t: arb) -> tuple[arb, arb, _Vector]:
         """g, g_t and grad g."""
@@ -474,14 +464,10 @@ class _Path:
                 break
             part = narrower
         derivative = self._derivative(part)
-        across = [_dot(part.normal, column) for column in zip(*derivative, strict=True)]
-        slope = [-entry / part.rate for entry in across]
-        projected = [
-            [entry + rate * move for entry, move in zip(row, slope, strict=True)]
-            for row, rate in zip(derivative, part.flow, strict=True)
-        ]
+        slope = arb_mat([part.normal]) * derivative / -part.rate
+        projected = derivative + arb_mat([[rate] for rate in part.flow]) * slope
         rising = (sign > 0) == (self._span[1] > self._span[0])
-        return _Crossing(part.time, part.z, projected, slope, rising)
+        return _Crossing(part.time, part.z, projected.tolist(), slope.entries(), rising)
 
     def _crossed(self, low: float, high: float, sign: int) -> _Part:
         """A part of a stretch with the crossing, over which the rate has no zero."""
@@ -504,27 +490,17 @@ class _Path:
                     f"t = {begin:.6g}; give a narrower one"
                 )
 
-    def _derivative(self, part: _Part) -> _Matrix:
+    def _derivative(self, part: _Part) -> arb_mat:
         """dz/dz0 over the times of a part: M in M(m) + [-d, d] DF(Z) M."""
-        before = matrix_of(self._enclosure.derivative(part.middle))
-        slopes = self._formulas.slopes(part.z, part.time)
+        before = arb_mat(matrix_of(self._enclosure.derivative(part.middle)))
+        moves = self._formulas.slopes(part.z, part.time) * part.elapsed
+        tiny = arb_mat(len(part.z), len(part.z), [arb(0, 1e-300)] * len(part.z) ** 2)
         around = before
         for _ in range(_TRIALS):
-            moved = _product(slopes, around)
-            around = [
-                [a + 2 * part.elapsed * b + arb(0, 1e-300) for a, b in zip(*rows, strict=True)]
-                for rows in zip(before, moved, strict=True)
-            ]
-            found = [
-                [a + part.elapsed * b for a, b in zip(*rows, strict=True)]
-                for rows in zip(before, _product(slopes, around), strict=True)
-            ]
-            inside = (
-                a.contains_interior(b)
-                for rows in zip(around, found, strict=True)
-                for a, b in zip(*rows, strict=True)
-            )
-            if all(inside):
+            around = before + moves * around * 2 + tiny
+            found = before + moves * around
+            pairs = zip(around.entries(), found.entries(), strict=True)
+            if all(a.contains_interior(b) for a, b in pairs):
                 return found
         raise CertificationError(
             f"the derivatives near t = {part.middle:.6g} are not enclosed; give narrower balls"
@@ -533,11 +509,6 @@ class _Path:
 
 def _dot(row: Sequence[arb], column: Sequence[arb]) -> arb:
     return sum((a * b for a, b in zip(row, column, strict=True)), arb(0))
-
-
-def _product(first: _Matrix, second: _Matrix) -> _Matrix:
-    columns = list(zip(*second, strict=True))
-    return [[_dot(row, column) for column in columns] for row in first]
 
 
 def _flat(ball: Ball) -> _Vector:

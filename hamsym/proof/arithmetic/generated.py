@@ -56,7 +56,7 @@ class GeneratedFunctions:
             for name, value in values.items()
             if value is not None and name not in inserted
         }
-        self._arithmetic = arithmetic
+        self._arithmetic, self._forced = arithmetic, bool(H.forces)
         self._system = load(generate(form, "balls"))
         self._functions: dict[str, Callable[..., Any]] = {}
 
@@ -65,6 +65,8 @@ class GeneratedFunctions:
 
         Raise SingularityError if the arguments contain a point where H is not smooth.
         """
+        if name == "jacobian" and not self._forced:
+            return self._jacobian(state, t, **varied)
         if name not in self._functions:
             function = self._system.function(name)
             self._functions[name] = partial(evaluated, function, self._arithmetic)
@@ -72,6 +74,17 @@ class GeneratedFunctions:
         for keyword, value in self._values.items():
             varied[keyword] = number(value.numerator, value.denominator)
         return self._functions[name](*state, t, **varied)
+
+    def _jacobian(self, state: Sequence[Any], t: Any, **varied: Any) -> dict[tuple[int, int], Any]:
+        """DF without forces, by row and column, where it is not zero everywhere."""
+        found, dof = {}, len(state) // 2
+        for (i, j), entry in self("hessian", state, t, **varied).items():
+            for row, column in {(i, j), (j, i)}:
+                if row >= dof:
+                    found[row - dof, column] = entry
+                else:
+                    found[row + dof, column] = -entry
+        return found
 
 
 class ParameterSlopes:

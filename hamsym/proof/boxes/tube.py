@@ -89,19 +89,13 @@ class Flow:
     def jacobian(self, arguments: list[Model]) -> list[list[Model | None]]:
         """DF; None for entries that vanish."""
         found: list[list[Model | None]] = [[None] * self.dim for _ in range(self.dim)]
-        if self.forced:
-            for (i, j), entry in self._tensor("jacobian", arguments).items():
-                found[i][j] = entry
-            return found
-        for (i, j), entry in self._tensor("hessian", arguments).items():
-            for row, column in {(i, j), (j, i)}:
-                target, sign = self._target(row)
-                found[target][column] = entry if sign > 0 else -entry
+        for (i, j), entry in self._tensor("jacobian", arguments).items():
+            found[i][j] = entry
         return found
 
-    def _target(self, row: int) -> tuple[int, int]:
+    def _target(self, row: int) -> int:
         """The component whose rate is, up to the sign, the slope of H in another one."""
-        return (row - self.dof, 1) if row >= self.dof else (row + self.dof, -1)
+        return (row + self.dof) % self.dim
 
     def curvature(self, arguments: list[Model]) -> np.ndarray:
         """Bounds on |d2F_i/dz_j dz_k|, shape (dim, dim, dim, cells)."""
@@ -114,12 +108,12 @@ class Flow:
             for rate in self.field(arguments):
                 found[:, :, :, ~np.isfinite(rate.largest())] = np.inf
             for (i, j, k), entry in self._tensor("third_derivatives", arguments).items():
-                found[self._target(i)[0], j, k] = found[self._target(i)[0], k, j] = entry.largest()
+                found[self._target(i), j, k] = found[self._target(i), k, j] = entry.largest()
             return found
         for index, entry in self._tensor("third_derivatives", arguments).items():
             size = entry.largest()
             for row, *columns in set(itertools.permutations(index)):
-                place = self._target(row)[0], *columns
+                place = self._target(row), *columns
                 found[place] = np.maximum(found[place], size)
         return found
 
