@@ -150,20 +150,16 @@ def _parameter(
     kind = _TYPES.get(str(described.type).removesuffix(" | None"))
     if choices is not None:
         kind = _NamedChoice(choices) if isinstance(choices, Mapping) else Choice(choices)
+    only = "" if tuple(of_methods) == usual else f" ({', '.join(of_methods)})"
     defaults = _default_text({m: _text(f.default, f.metadata) for m, f in of_methods.items()})
     return _MethodOption(
         [f"--{name}/--no-{name}" if kind is click.BOOL else f"--{name}"],
         type=kind,
         metavar=metadata["unit"],
         default=None,
-        help=f"{metadata['help']}{_of_methods(tuple(of_methods), usual)}{defaults}",
+        help=f"{metadata['help']}{only}{defaults}",
         section=topic if topic in _SHARED else f"{topic} ({_listed(usual)})",
     )
-
-
-def _of_methods(methods: tuple[str, ...], usual: tuple[str, ...]) -> str:
-    """Return the methods of an option, if they are not those of the section."""
-    return "" if methods == usual else f" ({', '.join(methods)})"
 
 
 def _listed(methods: tuple[str, ...]) -> str:

@@ -64,9 +64,11 @@ class _CheckedCache(NullCache):  # type: ignore[misc]
         context.refresh()
         path, key = self._place(signature, context.codegen())
         try:
-            digest, payload = _parted(path.read_bytes())
+            content = path.read_bytes()
         except OSError:
             return None
+        size = _DIGEST().digest_size
+        digest, payload = content[:size], content[size:]
         if digest != _digest(key, payload):
             return None
         return CompileResult._rebuild(context, *pickle.loads(payload))
@@ -88,8 +90,3 @@ class _CheckedCache(NullCache):  # type: ignore[misc]
 
 def _digest(key: str, payload: bytes) -> bytes:
     return _DIGEST(f"{key}\n".encode() + payload).digest()
-
-
-def _parted(content: bytes) -> tuple[bytes, bytes]:
-    size = _DIGEST().digest_size
-    return content[:size], content[size:]

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from flint import acb, acb_mat
+from flint import acb_mat, arb
 
 from hamsym.numerics.symplectic import generators, poisson_product
 from hamsym.proof.arithmetic.balls import working
@@ -141,8 +141,8 @@ class _Part(NamedTuple):
     eigenvalues: np.ndarray
     frequencies: np.ndarray
     signatures: np.ndarray
-    modes: np.ndarray  # in all components
-    decided: bool
+    modes: np.ndarray
+    decided: bool = True
 
 
 def _modes_of(hessian: Sequence[Sequence[Any]], spectrum: BlockSpectrum) -> _Part:
@@ -154,27 +154,20 @@ def _modes_of(hessian: Sequence[Sequence[Any]], spectrum: BlockSpectrum) -> _Par
     places = spectrum.components
     rows = [[hessian[i][j].mid() for j in places] for i in places]
     part = np.array([[float(entry) for entry in row] for row in rows])
-    decided = spectrum.decided
-    found = _float_modes(part, spectrum) if decided else None
-    if decided and found is None:
-        found = _precise_modes(rows, spectrum)
+    found = None
+    if spectrum.decided:
+        found = _float_modes(part, spectrum) or _precise_modes(rows, spectrum)
     if found is None:  # no part of it is certain
-        decided = False
-        found = (
-            np.linalg.eigvals(generators(part)).astype(complex),
-            np.empty(0), np.empty(0, int), np.empty((len(places), 0), complex),
-        )  # fmt: skip
-    whole = np.zeros((len(hessian), len(found[1])), complex)
-    whole[places] = found[3]
-    eigenvalues = found[0] if decided else _without_noise(found[0])
-    return _Part(eigenvalues, found[1], found[2], whole, decided)
+        eigenvalues = _without_noise(np.linalg.eigvals(generators(part)).astype(complex))
+        none = np.empty((len(places), 0), complex)
+        found = _Part(eigenvalues, np.empty(0), np.empty(0, int), none, decided=False)
+    whole = np.zeros((len(hessian), len(found.frequencies)), complex)
+    whole[places] = found.modes
+    return found._replace(modes=whole)
 
 
-_Modes = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-
-
-def _float_modes(part: np.ndarray, spectrum: BlockSpectrum) -> _Modes | None:
-    """Eigenvalues, frequencies, signatures and modes; None if round-off may matter."""
+def _float_modes(part: np.ndarray, spectrum: BlockSpectrum) -> _Part | None:
+    """Eigenvalues and modes; None if round-off may matter."""
     try:
         if spectrum.definite:
             frequencies, vectors = _definite_modes(part, spectrum.definite)
@@ -202,10 +195,10 @@ def _float_modes(part: np.ndarray, spectrum: BlockSpectrum) -> _Modes | None:
         stiff = not sizes.min() > _SOFT * sizes.max()
     if stiff or not (small & alike).all():
         return None
-    return eigenvalues, frequencies, np.sign(energies).astype(int), vectors
+    return _Part(eigenvalues, frequencies, np.sign(energies).astype(int), vectors)
 
 
-def _precise_modes(rows: list[list[Any]], spectrum: BlockSpectrum) -> _Modes | None:
+def _precise_modes(rows: list[list[Any]], spectrum: BlockSpectrum) -> _Part | None:
     """The same in many digits; None if it contradicts what is proven."""
     half, size = len(rows) // 2, len(rows)
     with working(_BITS):
@@ -235,22 +228,15 @@ def _precise_modes(rows: list[list[Any]], spectrum: BlockSpectrum) -> _Modes | N
         signatures, modes = [], np.empty((size, len(centres)), complex)
         for column, k in enumerate(centres):
             vector = [right[i, k] for i in range(size)]
-            area = sum(
-                (
-                    vector[half + i] * vector[i].conjugate()
-                    - vector[i] * vector[half + i].conjugate()
-                    for i in range(half)
-                ),
-                acb(0),
-            )
-            area = (area * acb(0, -1)).real
+            pairs = zip(vector[half:], vector[:half], strict=True)
+            area = 2 * sum(((p * q.conjugate()).imag for p, q in pairs), arb(0))
             if not abs(area) > 0:
                 return None
             signatures.append(1 if area > 0 else -1)
             largest = max(vector, key=lambda entry: float(abs(entry)))
             factor = abs(largest) / largest / abs(area).sqrt()
             modes[:, column] = [complex(entry * factor) for entry in vector]
-    return eigenvalues, frequencies, np.array(signatures, int), modes
+    return _Part(eigenvalues, frequencies, np.array(signatures, int), modes)
 
 
 def _definite_modes(hessian: np.ndarray, sign: int) -> tuple[np.ndarray, np.ndarray]:

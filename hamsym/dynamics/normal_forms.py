@@ -204,7 +204,8 @@ class _Construction:
                 jet = jet.flowed(generators[-1]).without(chi)
         coefficients = self._in_actions(jet)
         # To the degree of H, the coordinates are needed to one degree less.
-        units = [self._variable(k) for k in range(self._dof)]
+        ones = ({_unit(2 * self._dof, k): 1} for k in range(self._dof))
+        units = [BallPolynomial.of(one, self._degree - 1) for one in ones]
         there, back = units, units
         for chi_s in generators:
             there = [one.flowed(chi_s) for one in there]
@@ -285,9 +286,6 @@ class _Construction:
         if size < 0:
             return -omega, [v.conjugate() / (-size).sqrt() for v in u]
         raise CertificationError("the sign of the energy of a mode is not decided")
-
-    def _variable(self, k: int) -> BallPolynomial:
-        return BallPolynomial.of({_unit(2 * self._dof, k): 1}, self._degree - 1)
 
     def _expanded(self) -> BallPolynomial:
         """H - H_0 in the complex coordinates, with the quadratic part of the modes."""

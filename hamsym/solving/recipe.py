@@ -32,7 +32,8 @@ def python_lines(solution: Solution) -> str:
     """
     H = solution.H
     about: dict[str, Any] = {}
-    if not _pairs_are_found(H):
+    again = _made_again(H)  # which may find other pairs, or another order
+    if again is None or again.names != H.names:
         about["q"] = [symbol.name for symbol in H.q]
         about["p"] = [symbol.name for symbol in H.p]
     about["parameters"] = dict(H.parameters)
@@ -76,30 +77,20 @@ def omissions(solution: Solution) -> list[str]:
             f"The values of {', '.join(settings.missing)} are objects of the caller's program, "
             "which the lines cannot contain."
         )
-    if not _same_again(solution.H):
+    H = solution.H
+    if _made_again(H, q=[s.name for s in H.q], p=[s.name for s in H.p]) != H:
         found.append(
             "H has binary fractions that its text does not have exactly; the saved solution does."
         )
     return found
 
 
-def _pairs_are_found(H: Hamiltonian) -> bool:
-    """Return whether the names alone give the same pairs in the same order."""
+def _made_again(H: Hamiltonian, **pairs: Any) -> Hamiltonian | None:
+    """Return the Hamiltonian of the text of another; None if that text alone has none."""
     try:
-        again = Hamiltonian(H.formula, parameters=H.parameters, forces=H.force_texts)
+        return Hamiltonian(H.formula, parameters=H.parameters, forces=H.force_texts, **pairs)
     except HamsymError:
-        return False
-    return again.names == H.names
-
-
-def _same_again(H: Hamiltonian) -> bool:
-    names = ([symbol.name for symbol in part] for part in (H.q, H.p))
-    q, p = names
-    try:
-        again = Hamiltonian(H.formula, q=q, p=p, parameters=H.parameters, forces=H.force_texts)
-    except HamsymError:
-        return False
-    return again == H
+        return None
 
 
 def _call(start: str, positional: list[str], named: dict[str, str]) -> str:

@@ -51,7 +51,8 @@ class Array:
     def check(self, name: str, array: Any, lengths: dict[str, Any]) -> None:
         """Raise ValueError unless an array has this type, shape and range."""
         if not isinstance(array, np.ndarray) or array.dtype not in self.dtypes:
-            raise ValueError(f"'{name}' is not of type {self._types}")
+            types = " or ".join(np.dtype(kind).name for kind in self.dtypes)
+            raise ValueError(f"'{name}' is not of type {types}")
         expected = self._expected(array.shape, lengths)
         if array.shape != expected:
             shape = ", ".join(map(str, expected)) + "," * (len(expected) == 1)
@@ -61,10 +62,6 @@ class Array:
         bounded = (self.least, self.most) != (-math.inf, math.inf)
         if bounded and not ((array >= self.least) & (array <= self.most)).all():
             raise ValueError(f"'{name}' has numbers out of range")
-
-    @property
-    def _types(self) -> str:
-        return " or ".join(np.dtype(kind).name for kind in self.dtypes)
 
     def _expected(self, found: tuple[int, ...], lengths: dict[str, Any]) -> tuple[Any, ...]:
         """Return the shape, in which unknown lengths get the values found."""

@@ -277,7 +277,10 @@ class DifferentialRing:
                 continue
             part = self.values((*self._parts[symbol], self.ring(0))[0], values)
             if generator.kind == "root":
-                values[:, place] = root = _root_modulo(part, generator.order)
+                # wrong ones where there is none
+                n = generator.order
+                power = (PRIME + 1) // 4 if n == 2 else pow(n, -1, PRIME - 1)
+                values[:, place] = root = _power_modulo(part, power)
                 good &= _power_modulo(root, generator.order) == part
                 good &= root != 0
             elif generator.kind == "inverse":
@@ -371,10 +374,3 @@ def _power_modulo(values: np.ndarray, exponent: int) -> np.ndarray:
         square = square * square % PRIME
         exponent >>= 1
     return result
-
-
-def _root_modulo(values: np.ndarray, order: int) -> np.ndarray:
-    """Return roots modulo PRIME, wrong ones where there is none."""
-    if order == 2:
-        return _power_modulo(values, (PRIME + 1) // 4)
-    return _power_modulo(values, pow(order, -1, PRIME - 1))

@@ -291,7 +291,7 @@ class _Search:
     ) -> Iterator[tuple[PolyElement, sympy.Expr]]:
         """Yield the invariants in a part that products of known ones do not span."""
         self._check_time()
-        count = len(group) + self._products_bound(degree) + _SPARE
+        count = len(group) + len([*self._choices(degree)]) + _SPARE
         points = self._ring.points(count, self._random)
         values, rates = self._matrices(group, points)
         # Monomials that are linear combinations of earlier ones as functions.
@@ -360,9 +360,6 @@ class _Search:
                     slope = _product([powers[i][e - 1], slopes[i], *others], len(points))
                     rates[:, j] = (rates[:, j] + e * slope) % PRIME
         return values, rates
-
-    def _products_bound(self, degree: int) -> int:
-        return sum(1 for _ in self._choices(degree))
 
     def _choices(self, degree: int) -> Iterator[tuple[int, ...]]:
         """Yield the products of known invariants up to a degree, as multisets."""

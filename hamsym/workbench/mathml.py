@@ -13,7 +13,7 @@ from hamsym.formula.notation import Notation
 from hamsym.formula.printer import exact_decimal
 
 _LONGEST = 10**7  # fractions up to here stay fractions if no decimal equals them
-_MARKUP = {"lt", "gt", "amp", "quot"}
+_MARKUP = "lt|gt|amp|quot"
 
 
 class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]
@@ -42,53 +42,43 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]
         if power.tagName != "msup" or base.tagName != "msub":
             return power
         # The exponent above the index, not behind it.
-        both = self.dom.createElement("msubsup")
-        for part in (*base.childNodes, power.lastChild):
-            both.appendChild(part.cloneNode(True))
-        return both
+        parts = (*base.childNodes, power.lastChild)
+        return self._element("msubsup", *(part.cloneNode(True) for part in parts))
 
     def _print_Derivative(self, expr: sympy.Derivative) -> Any:
         if len(expr.variables) > 1 or not expr.expr.is_Symbol:
             return super()._print_Derivative(expr)
-        fraction = self.dom.createElement("mfrac")
-        for part in (expr.expr, expr.variables[0]):
-            row = self.dom.createElement("mrow")
-            row.appendChild(self._text("mi", "d"))
-            row.appendChild(self._print(part))
-            fraction.appendChild(row)
-        return fraction
+        parts = (expr.expr, expr.variables[0])
+        rows = (self._element("mrow", self._text("mi", "d"), self._print(p)) for p in parts)
+        return self._element("mfrac", *rows)
 
     def _print_Heaviside(self, expr: sympy.Expr) -> Any:
-        row = self.dom.createElement("mrow")
-        row.appendChild(self._text("mi", "Θ"))
-        row.appendChild(self._paren_comma_separated(expr.args[0]))
-        return row
+        return self._called("Θ", expr.args[0])
 
     def _print_atan2(self, expr: sympy.Expr) -> Any:
-        row = self.dom.createElement("mrow")
-        row.appendChild(self._text("mi", "atan2"))
-        row.appendChild(self._paren_comma_separated(*expr.args))
-        return row
+        return self._called("atan2", *expr.args)
+
+    def _called(self, name: str, *arguments: sympy.Expr) -> Any:
+        within = self._paren_comma_separated(*arguments)
+        return self._element("mrow", self._text("mi", name), within)
 
     def _decimal(self, value: float) -> Any:
         mantissa, _, exponent = repr(abs(value)).partition("e")
-        row = self.dom.createElement("mrow")
-        if value < 0:
-            row.appendChild(self._text("mo", "−"))
-        row.appendChild(self._text("mn", mantissa.removesuffix(".0")))
+        parts = [self._text("mo", "−")] if value < 0 else []
+        parts.append(self._text("mn", mantissa.removesuffix(".0")))
         if exponent:
-            row.appendChild(self._text("mo", "·"))
-            power = self.dom.createElement("msup")
-            power.appendChild(self._text("mn", "10"))
-            power.appendChild(
-                self._text("mn", exponent.lstrip("+0").replace("-0", "-").replace("-", "−"))
-            )
-            row.appendChild(power)
-        return row
+            exponent = exponent.lstrip("+0").replace("-0", "-").replace("-", "−")
+            ten, raised = self._text("mn", "10"), self._text("mn", exponent)
+            parts += [self._text("mo", "·"), self._element("msup", ten, raised)]
+        return self._element("mrow", *parts)
 
     def _text(self, tag: str, text: str) -> Any:
+        return self._element(tag, self.dom.createTextNode(text))
+
+    def _element(self, tag: str, *parts: Any) -> Any:
         element = self.dom.createElement(tag)
-        element.appendChild(self.dom.createTextNode(text))
+        for part in parts:
+            element.appendChild(part)
         return element
 
 
@@ -104,7 +94,9 @@ def mathml(expr: sympy.Basic, notation: Notation | None = None) -> str:
     """
     text = _Printer(notation or Notation()).doprint(_with_decimals(expr))
     # Entities of HTML are not those of XML, and a hyphen is no minus.
-    return re.sub(r"&([A-Za-z]+);", _character, text).replace("<mo>-</mo>", "<mo>−</mo>")
+    pattern = rf"&(?!(?:{_MARKUP});)[A-Za-z]+;"
+    text = re.sub(pattern, lambda found: html.unescape(found[0]), text)
+    return text.replace("<mo>-</mo>", "<mo>−</mo>")
 
 
 def equation(left: str, right: sympy.Expr, notation: Notation) -> list[str]:
@@ -156,7 +148,3 @@ def _with_decimals(expr: Any) -> Any:
         elif number.q != 1 and max(abs(number.p), number.q) > _LONGEST:
             decimals[number] = sympy.Float(f"{float(number):.10g}", 17)
     return expr.xreplace(decimals) if decimals else expr
-
-
-def _character(entity: re.Match[str]) -> str:
-    return entity[0] if entity[1] in _MARKUP else html.unescape(entity[0])

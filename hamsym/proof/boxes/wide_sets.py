@@ -223,7 +223,10 @@ class WideSet:
             if found is None:
                 halvings += not reach < 1
                 if halvings > _TRIES and 2 * self.parts <= self._most:
-                    self._split(Parts.halving(np.full(self.parts, True), self._next_axes()))
+                    # along the inputs one after the other, with the number of parts
+                    axis = (self.parts.bit_length() - 1) % self._space.inputs
+                    every, along = np.full(self.parts, True), np.full(self.parts, axis)
+                    self._split(Parts.halving(every, along))
                     self._length, halvings = longest, 0
                     continue
                 if not reach < 1:
@@ -269,10 +272,6 @@ class WideSet:
         """
         left = max(self.total - self.elapsed - length, self.total / 30)
         return _MOST_ADDED / _SHARE * float(self.total / left)
-
-    def _next_axes(self) -> np.ndarray:
-        """The inputs one after the other, with the number of parts."""
-        return np.full(self.parts, (self.parts.bit_length() - 1) % self._space.inputs)
 
     def _candidate(self, length: Fraction) -> tuple[_Candidate | None, float]:
         """A step of a length, None where nothing is proven; and the tail of its terms in x.

@@ -318,7 +318,9 @@ class _Comparison:
         state, rate = piece.models(window.start, window.half, _TERMS)
         centre = number_of(self._begin + self._direction * (window.start + window.half))
         slope = number_of(self._direction * window.half)
-        width = _widths(window)
+        # Bounds on |z_i - y_i| over the window.
+        wide = up(window.beside + set_sizes(window.V, window.G, window.R))
+        width = np.minimum(wide, window.tube)
         terms = window.high.shape[1]
         y = Rows(window.high, window.low, np.zeros(dim), np.full(dim, terms))
         error, error_radius = _difference(state, y)
@@ -439,12 +441,6 @@ def _factor(degree: int, samples: int) -> float:
     """An upper bound on 1/cos(degree pi/(2 M))."""
     with working(BITS):
         return above(1 / (arb.pi() * degree / (2 * samples)).cos())
-
-
-def _widths(window: Window) -> np.ndarray:
-    """Bounds on |z_i - y_i| over the window."""
-    found = window.beside + set_sizes(window.V, window.G, window.R)
-    return np.minimum(up(found), window.tube)
 
 
 def _difference(first: Rows, second: Rows) -> tuple[np.ndarray, np.ndarray]:

@@ -275,7 +275,7 @@ def _examined(
     shares = [(b - a) / s for a, b, s in zip(*box, scale, strict=True)]
     scores = pruner.scores(shares)
     if not pruner.rough and (search.boxes % _EVERY == 0 or not max(scores) > 0):
-        scores = [_relative_width(a, b) for a, b in zip(*box, strict=True)]
+        scores = [(b - a) / (max(abs(a), abs(b)) or 1) for a, b in zip(*box, strict=True)]
     j = scores.index(max(scores))
     search.rough += bool(pruner.rough)
     many = search.rough > _MOST_ROUGH and bool(pruner.rough) and shares[j] <= _ROUGHEST
@@ -288,11 +288,6 @@ def _examined(
         (list(box[0]), [cut if k == j else b for k, b in enumerate(box[1])]),
         ([cut if k == j else a for k, a in enumerate(box[0])], list(box[1])),
     ]
-
-
-def _relative_width(low: float, high: float) -> float:
-    size = max(abs(low), abs(high))
-    return (high - low) / size if size else 0.0
 
 
 def _covered(box: _Box, roots: Sequence[Root]) -> bool:
@@ -326,7 +321,8 @@ def _distinct(search: Search) -> list[Root]:
     """Zeros without repetitions: two enclosures in the box of one of them hold the same zero."""
     kept: list[Root] = []
     for root in search.roots:
-        near = [other for other in kept if _meet(root.enclosure, other.enclosure)]
+        pairs = ((other, zip(root.enclosure, other.enclosure, strict=True)) for other in kept)
+        near = [other for other, both in pairs if all(a.overlaps(b) for a, b in both)]
         same = [
             other
             for other in near
@@ -340,10 +336,6 @@ def _distinct(search: Search) -> list[Root]:
             low, high = zip(*ends, strict=True)
             search.undecided.append(Undecided(low, high, DEGENERATE))
     return kept
-
-
-def _meet(first: Balls, second: Balls) -> bool:
-    return all(a.overlaps(b) for a, b in zip(first, second, strict=True))
 
 
 def singular_term(H: Hamiltonian, low: Sequence[float], high: Sequence[float]) -> str:

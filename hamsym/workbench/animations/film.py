@@ -28,13 +28,6 @@ _MOST_NAMED = 9  # points in a legend
 _COLUMNS = 3  # of a legend
 
 
-def _colors(count: int) -> np.ndarray:
-    """Return colours that differ, shape (count, 4)."""
-    if count <= len(COLORS):
-        return np.array([to_rgba(color) for color in COLORS[:count]])
-    return shades(count)
-
-
 class Film:
     """The frames of an animation.
 
@@ -101,7 +94,9 @@ class Film:
             notes += draw_levels(axis, self._motion.H, x, y)
         # Bodies have colours of their own, else the members of an ensemble.
         self._colors = np.empty((members, points, 4))
-        self._colors[:] = _colors(points) if scene.points else _colors(members)[:, None]
+        count = points if scene.points else members
+        own = [*map(to_rgba, COLORS[:count])] if count <= len(COLORS) else shades(count)
+        self._colors[:] = np.array(own).reshape((1, -1, 4) if scene.points else (-1, 1, 4))
         self._tails = LineCollection([], linewidths=1.3, animated=True)
         self._rods = LineCollection([], linewidths=1.8, animated=True)
         for lines in (self._tails, self._rods):

@@ -55,9 +55,13 @@ def polar_pairs(H: Hamiltonian) -> list[tuple[int, int]]:
     return pairs
 
 
-def direction_of_zero(H: Hamiltonian, pair: tuple[int, int]) -> float:
+def direction_of_zero(H: Hamiltonian, pairs: list[tuple[int, int]]) -> float:
     """The direction of the angle zero: down or up if a weight acts along it, else to the right."""
-    i, j = pair
+    found = {_weighed(H, *pair) for pair in pairs}
+    return found.pop() if len(found) == 1 else RIGHT
+
+
+def _weighed(H: Hamiltonian, i: int, j: int) -> float:
     z = np.ones((4, H.dim))
     z[:, H.dof :] = 0.0
     z[:, i], z[:, j] = [1.0, 1.0, 2.0, 2.0], [0.0, np.pi, 0.0, np.pi]

@@ -245,8 +245,7 @@ def _polar(H: Hamiltonian, chosen: list[int]) -> Scene:
     units = {H.units.get(H.names[i], "1") for i in radii}
     if len(units) > 1:
         raise InputError(f"{_listed([H.names[i] for i in radii])} have different units")
-    zeros = {direction_of_zero(H, pair) for pair in pairs}
-    zero = zeros.pop() if len(zeros) == 1 else RIGHT
+    zero = direction_of_zero(H, pairs)
 
     def places(z: np.ndarray, t: np.ndarray) -> np.ndarray:
         distance, angle = z[..., radii], z[..., angles] + zero

@@ -18,12 +18,9 @@ from urllib.parse import parse_qs
 _Scope = MutableMapping[str, Any]
 _Application = Callable[[_Scope, Any, Any], Awaitable[None]]
 
-_HEADERS = [
-    (b"cache-control", b"no-store"),
-    (b"content-type", b"text/plain; charset=utf-8"),
-    (b"referrer-policy", b"no-referrer"),
-    (b"x-content-type-options", b"nosniff"),
-]
+_ALWAYS = [(b"referrer-policy", b"no-referrer"), (b"x-content-type-options", b"nosniff")]
+_PLAIN = (b"content-type", b"text/plain; charset=utf-8")
+_HEADERS = [(b"cache-control", b"no-store"), _PLAIN, *_ALWAYS]
 _REFUSAL = b"This page needs the whole address that hamsym explore printed, with its token.\n"
 # Nothing is fetched from another machine; Vue compiles its templates, which counts as eval, and
 # the code of H is a module from memory.
@@ -59,11 +56,12 @@ class Guard:
             await self.app(scope, receive, send)
             return
         headers = {name.lower(): value.decode("latin-1") for name, value in scope["headers"]}
+        query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
         if not self._from_page(headers):
             await self._refuse(scope, send)
         elif self._is_token(self._cookie_of(headers)):
             await self.app(scope, receive, self._with_policy(send))
-        elif scope["type"] == "http" and self._is_token(self._token_in_address(scope)):
+        elif scope["type"] == "http" and self._is_token(query.get("token", [""])[0]):
             await self._admit(send)
         else:
             await self._refuse(scope, send)
@@ -84,10 +82,6 @@ class Guard:
             return ""
         return cookie[self._cookie].value if self._cookie in cookie else ""
 
-    def _token_in_address(self, scope: _Scope) -> str:
-        query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
-        return query.get("token", [""])[0]
-
     async def _admit(self, send: Any) -> None:
         """Set the cookie and lead to the address without the token, which stays out of history."""
         cookie = f"{self._cookie}={self._token}; Path=/; HttpOnly; SameSite=Strict"
@@ -105,11 +99,7 @@ class Guard:
     def _with_policy(self, send: Any) -> Any:
         async def sending(message: MutableMapping[str, Any]) -> None:
             if message["type"] == "http.response.start":
-                added = [
-                    (b"content-security-policy", _POLICY),
-                    (b"referrer-policy", b"no-referrer"),
-                    (b"x-content-type-options", b"nosniff"),
-                ]
+                added = [(b"content-security-policy", _POLICY), *_ALWAYS]
                 message = {**message, "headers": [*message.get("headers", []), *added]}
             await send(message)
 

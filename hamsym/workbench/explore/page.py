@@ -107,10 +107,9 @@ class Page:
             clearable=True,
             on_change=self._unless_filling(self._choose_example),
         ).props("dense outlined options-dense")
+        typed = self._unless_filling(self._typed)
         self._formula = (
-            ui.textarea(
-                "Hamiltonian H", value=setting.formula, on_change=self._unless_filling(self._typed)
-            )
+            ui.textarea("Hamiltonian H", value=setting.formula, on_change=typed)
             .props(f"outlined dense autogrow debounce={_TYPING} spellcheck=false")
             .classes("formula")
         )
@@ -122,15 +121,10 @@ class Page:
         self._names = ui.expansion("Names and forces").props("dense").classes("names")
         with self._names:
             dense = f"outlined dense debounce={_TYPING} spellcheck=false"
-            self._q = ui.input(
-                "Coordinates, e.g. x, y", on_change=self._unless_filling(self._typed)
-            ).props(dense)
-            self._p = ui.input(
-                "Their momenta, e.g. p_x, p_y", on_change=self._unless_filling(self._typed)
-            ).props(dense)
-            self._forces = ui.textarea(
-                "Forces, one a line: p = -c*p", on_change=self._unless_filling(self._typed)
-            ).props(f"{dense} autogrow")
+            self._q = ui.input("Coordinates, e.g. x, y", on_change=typed).props(dense)
+            self._p = ui.input("Their momenta, e.g. p_x, p_y", on_change=typed).props(dense)
+            forces = ui.textarea("Forces, one a line: p = -c*p", on_change=typed)
+            self._forces = forces.props(f"{dense} autogrow")
         with ui.element("div").classes("fields"):
             self._start = ui.input("from t =", value=f"{setting.span[0]:.10g}")
             self._start.props("outlined dense").on("blur", self._start_typed)

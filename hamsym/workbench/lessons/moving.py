@@ -35,8 +35,7 @@ def moving(H: Hamiltonian) -> dict[str, Any]:
         return {"kind": kind, "angles": chosen, "lengths": names or [1.0] * len(chosen)}
     if kind == "polar":
         pairs = polar_pairs(H)
-        zeros = {direction_of_zero(H, pair) for pair in pairs}
-        zero = zeros.pop() if len(zeros) == 1 else RIGHT
+        zero = direction_of_zero(H, pairs)
         return {
             "kind": kind,
             "pairs": [list(p) for p in pairs],

@@ -152,11 +152,8 @@ def _path(name: str, given: Any) -> Path:
     try:
         path = Path(os.fspath(given))
     except TypeError:
-        raise InputError(
-            f"{name} must be a Solution or a path, not {type(given).__name__}"
-            if name == "solution"
-            else f"{name} must be a path, not {type(given).__name__}"
-        ) from None
+        kind = "a Solution or a path" if name == "solution" else "a path"
+        raise InputError(f"{name} must be {kind}, not {type(given).__name__}") from None
     if "\0" in os.fspath(path):
         raise InputError(f"{name} has a null character, which no file name has")
     return path
