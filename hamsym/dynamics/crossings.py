@@ -189,8 +189,12 @@ def _located(
     without = (np.isnan(values) & np.isfinite(path).all(axis=-1)).any(axis=0)
     undefined = float(times[np.argmax(without)]) if without.any() else math.nan
     if where.enclosed is None:
-        slopes = _slopes(where, path, at, rates, size, rows)
-        (trajectory, step), dips = suspects(values, slopes)
+        aside = _ASIDE * size
+        ahead, behind = (
+            np.asarray(where.value(path + h * rates, at + h, rows), dtype=float)
+            for h in (aside, -aside)
+        )
+        (trajectory, step), dips = suspects(values, ahead - behind)
     else:
         finite = np.isfinite(values) & np.isfinite(rates).all(axis=-1)
         trajectory, step = np.nonzero(finite[:, :-1] & finite[:, 1:])
@@ -273,18 +277,3 @@ class _Steps:
         given = None if own is None else lambda i: Ranges.constant(own[:, i])
         assert self.setting.where.enclosed is not None
         return self.setting.where.enclosed(lambda i: component_ranges(cells, i), t, given)
-
-
-def _slopes(
-    where: Surface,
-    path: np.ndarray,
-    at: np.ndarray,
-    rates: np.ndarray,
-    size: float,
-    parameters: np.ndarray | None,
-) -> np.ndarray:
-    """Return the change of the surface function over a small distance along the flow."""
-    aside = _ASIDE * size
-    ahead = where.value(path + aside * rates, at + aside, parameters)
-    behind = where.value(path - aside * rates, at - aside, parameters)
-    return np.asarray(ahead - behind, dtype=float)

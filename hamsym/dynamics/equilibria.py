@@ -34,6 +34,8 @@ from hamsym.symbolic.stationary_points import periods, stationary_points
 
 _DIGITS = 60  # of closed forms
 
+_Values = list[sympy.Expr]  # of the components; those that are free have their symbols
+
 
 @checked_keywords
 def equilibria(
@@ -186,9 +188,10 @@ def _checked_box(H: Hamiltonian, box: Any) -> tuple[np.ndarray, np.ndarray]:
 
 def _by_default(H: Hamiltonian) -> Equilibria:
     form = H.real_equations
-    solutions = stationary_points(form)
+    closed = stationary_points(form)
+    solutions = [[each.get(symbol, symbol) for symbol in form.z] for each in closed or ()]
     if H.unbound_parameters:
-        if solutions is None:
+        if closed is None:
             listed = ", ".join(H.unbound_parameters)
             raise ParameterError(
                 f"no closed form was found with {listed} as symbols; give values, by "
@@ -198,8 +201,8 @@ def _by_default(H: Hamiltonian) -> Equilibria:
     turns = {i: float(period) for i, period in periods(form).items()}
     finder = Finder(H, np.ones(H.dim))
     found: list[Equilibrium] = []
-    for solution in solutions or []:
-        each = _at_solution(finder, solution)
+    for values in solutions:
+        each = _at_solution(finder, values)
         if each is not None and not is_known(each, found, finder, turns):
             found.append(each)
     starts = default_starts(H.dim)
@@ -214,16 +217,13 @@ def _by_default(H: Hamiltonian) -> Equilibria:
     return ordered(H, found, message)
 
 
-def _symbolic_only(H: Hamiltonian, solutions: Sequence[Any]) -> Equilibria:
+def _symbolic_only(H: Hamiltonian, solutions: Sequence[_Values]) -> Equilibria:
     """Closed forms with symbols of parameters: neither values nor stability."""
     nothing = np.full(H.dim, np.nan)
     found = [
-        Equilibrium(
-            H.names, nothing, math.nan, "symbolic", exact=_matrix(H, solution),
-            family=_family_of(H, solution),
-        )
-        for solution in solutions
-    ]  # fmt: skip
+        Equilibrium(H.names, nothing, math.nan, "symbolic", **_closed_form(H, values))
+        for values in solutions
+    ]
     missing = ", ".join(H.unbound_parameters)
     message = (
         f"{counted(found)}, real where the expressions are; {missing} without a value, so that "
@@ -232,35 +232,25 @@ def _symbolic_only(H: Hamiltonian, solutions: Sequence[Any]) -> Equilibria:
     return Equilibria(H, tuple(found), False, message)
 
 
-def _matrix(H: Hamiltonian, solution: Mapping[Any, Any]) -> sympy.ImmutableDenseMatrix:
-    """A solution as a column, in the caller's symbols."""
+def _closed_form(H: Hamiltonian, values: _Values) -> dict[str, Any]:
+    """What an :class:`Equilibrium` tells of it: a column in the caller's symbols, and a family."""
     form = H.real_equations
-    values = [solution.get(symbol, symbol) for symbol in form.z]
-    return sympy.ImmutableDenseMatrix([value.xreplace(form.back) for value in values])
-
-
-def _family_of(H: Hamiltonian, solution: Mapping[Any, Any]) -> str:
-    form = H.real_equations
-    values = [solution.get(symbol, symbol) for symbol in form.z]
+    known = {"exact": sympy.ImmutableDenseMatrix([v.xreplace(form.back) for v in values])}
     names = dict(zip(form.z, H.names, strict=True))
     free = [symbol for symbol in form.z if any(value.has(symbol) for value in values)]
     if not free:
-        return ""
+        return known
     others = [
         f"{names[symbol]} = {value}"
         for symbol, value in zip(form.z, values, strict=True)
         if symbol != value and value.has(*free)
     ]
     text = f"any {', '.join(names[symbol] for symbol in free)}"
-    return f"{text}, with {', '.join(others)}" if others else text
+    return {**known, "family": f"{text}, with {', '.join(others)}" if others else text}
 
 
-def _at_solution(finder: Finder, solution: Mapping[Any, Any]) -> Equilibrium | None:
+def _at_solution(finder: Finder, values: _Values) -> Equilibrium | None:
     """The equilibrium at a closed form; of a continuum, at one point of it."""
-    H = finder.H
-    form = H.real_equations
-    family = _family_of(H, solution)
-    values = [solution.get(symbol, symbol) for symbol in form.z]
     free = sorted({s for value in values for s in value.free_symbols}, key=str)
     for sample in (0, 1, sympy.Rational(1, 2), -1, sympy.Rational(-1, 2), 2):
         numbers = [
@@ -272,10 +262,8 @@ def _at_solution(finder: Finder, solution: Mapping[Any, Any]) -> Equilibrium | N
             return None
     else:
         return None
-    known: dict[str, Any] = {"exact": _matrix(H, solution)}
-    if family:
-        known["family"] = family
-    return finder.point(np.array([x.real for x in numbers]) + 0.0, **known)
+    z = np.array([x.real for x in numbers]) + 0.0
+    return finder.point(z, **_closed_form(finder.H, values))
 
 
 def _from_guesses(H: Hamiltonian, starts: np.ndarray) -> Equilibria:
