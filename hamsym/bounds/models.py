@@ -84,9 +84,9 @@ def residual_bounds(
     - t: Shape (parts, PLACES).
     - ends: The least and the largest time of each part, shape (parts, 2).
     - parameters: Shape (k,) or (parts, k).
-    - returns bounds, hidden, rounding: Shape (parts, dim). Bounds leave out the round-off of the
-      formula, for which ``rounding`` is a bound; ``hidden`` bounds the distance of the residual
-      from a polynomial through its values at the places.
+    - returns bounds, hidden, rounding: Shape (parts, dim). ``hidden`` bounds the distance of
+      the residual from a polynomial through its values at the places. Both leave out the round-off
+      of the formula, for which ``rounding`` is a bound.
     """
     found = np.empty((3, len(t), z.shape[2]))
     rows = [np.moveaxis(array, 2, 1) for array in (z, rates)]

@@ -28,8 +28,10 @@ from hamsym.dynamics.growth import (
     orthonormal,
     tangent_scales,
 )
+from hamsym.dynamics.passed_features import first_passed
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.energy_drift import COARSE, EnergyDrift
+from hamsym.integrators.hidden_features import passed_over
 from hamsym.integrators.step_scales import fastest_rates
 from hamsym.integrators.stepper import Stepper
 from hamsym.parallel.threads import Threads
@@ -68,8 +70,8 @@ class LyapunovMap(Drawn, Shown):
         Logarithm of the growth up to the end, divided by the time, the largest first, shape
         (..., count); nan where ``success`` is False.
     success : numpy.ndarray
-        Whether the trajectory reached the end and kept H as for
-        :class:`hamsym.LyapunovExponents`, shape (...).
+        Whether the trajectory reached the end, kept H as for :class:`hamsym.LyapunovExponents`, and
+        passed over no feature of the force, shape (...).
     message : numpy.ndarray
         Outcome of each member, shape (...), of str.
     z0 : numpy.ndarray
@@ -360,6 +362,13 @@ class _Run:
                     f"the motion has rates up to {fastest[i]:.2g}: give a dt that resolves them"
                 )
             problems.append(problem)
+        good = np.array([k for k, problem in enumerate(problems) if not (problem or again[k])], int)
+        members = self._members.some(index[good])
+        passed = first_passed(
+            members, self._method, times[0], (times[-1] - times[0]) / steps, steps
+        )
+        for k in np.flatnonzero(np.isfinite(passed)):
+            problems[good[k]] = passed_over(passed[k])
         change = drift.change if H.conserves_energy else np.full(len(index), np.nan)
         return _Outcome(exponents, change, problems, np.where(again, rates, np.nan))
 

@@ -357,8 +357,7 @@ def connection_of(
     first, _ = met.solutions
     ends = [np.asarray(solution.error_estimate(solution.span[1])) for solution in met.solutions]
     error = float((np.abs(np.array(ends)) / met.scale).max())
-    local = max(side.leaving.local.error for side in met.sides)
-    error = max(error, local)
+    error = max(error, *(side.local_error(tol) for side in met.sides))
     success, message = True, f"both parts meet to {met.mismatch:.1e}"
     if not met.mismatch <= tol:
         success, message = False, f"both parts miss each other by {met.mismatch:.1e}"

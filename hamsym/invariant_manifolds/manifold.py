@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -302,8 +302,10 @@ def _grown(
             break
         elapsed *= 2
     incomplete = short if length is not None and duration is None else np.zeros_like(short)
-    problem = _problem(leaving, found, tol, length, incomplete)
     starts, many = found.starts, found.many
+    leaving = leaving.followed(starts.directions, starts.phases, tol)
+    starts = replace(starts, leaving=leaving)
+    problem = _problem(leaving, found, tol, length, incomplete)
     return Manifold(
         origin,
         "unstable" if sign > 0 else "stable",
@@ -325,8 +327,8 @@ def _problem(
     failed, number = found.failed, len(found.ends)
     if not leaving.local.error <= tol:
         return (
-            f"the local manifold is accurate to {leaving.local.error:.1e} of its size only, "
-            "limited by round-off or by a resonance of exponents"
+            f"the local manifold has an error of {leaving.local.error:.1e} of its size, because of "
+            "round-off, a resonance of exponents or a narrow feature of the force"
         )
     if failed.any():
         k = int(np.argmax(failed))

@@ -91,6 +91,11 @@ class Side:
         """State on the local manifold."""
         return self.leaving.states(self.direction[None], np.array([self.phase]))[0]
 
+    def local_error(self, least: float) -> float:
+        """Error of the local manifold, also in the past of the start."""
+        phases = np.array([self.phase])
+        return self.leaving.followed(self.direction[None], phases, least).local.error
+
     def solved(self) -> Solution | None:
         """The trajectory, to the smallest tolerance that is met; None if none is."""
         leaving = self.leaving

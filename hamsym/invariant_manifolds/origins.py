@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -22,9 +22,10 @@ from hamsym.invariant_manifolds.parameterization import (
     Flow,
     LocalManifold,
     PeriodMap,
+    error_behind,
     parameterized,
 )
-from hamsym.numerics.scales import coupled_sizes
+from hamsym.numerics.scales import coupled_sizes, floored_sizes
 from hamsym.numerics.symplectic import symplectic_inverse
 from hamsym.orbits.orbit import PeriodicOrbit
 from hamsym.symbolic.derivatives import connected_blocks
@@ -36,6 +37,7 @@ _GROWTH = 2.0  # least multiplier of the map, which takes as many periods as tha
 _NONLINEAR = 0.3  # share of the linear force that others reach at the radius of an equilibrium
 _DOUBLINGS = 200  # beyond which H is quadratic
 _NOISE = 1e-13  # entries, relative to the largest in suitable units, that are round-off
+_RESTING = 1e-6  # size of a component, relative to the largest of its kind, that is at rest
 _SHARE = 0.05  # of an orbit's scale, with which the search for its ball begins
 _TOLERANCES = (1e-12, 1e-11, 1e-10, 1e-9, 1e-8)  # of the map, the first that is met
 
@@ -61,7 +63,10 @@ class Departure:
     #: None at an equilibrium.
     period: float | None
     #: Time in which the local manifold grows e times.
-    time: float = field(default=0.0)
+    time: float
+    #: The flow by which the past of starts is followed, and its multipliers, complex, shape (n,).
+    around: PeriodMap = field(repr=False)
+    multipliers: np.ndarray = field(repr=False)
 
     def coordinates(self, directions: np.ndarray, phases: np.ndarray) -> np.ndarray:
         """Coordinates u of the starts, complex, (n, count) and (n,) -> (n, count)."""
@@ -73,6 +78,15 @@ class Departure:
     def states(self, directions: np.ndarray, phases: np.ndarray) -> np.ndarray:
         """The starts, shape (n, dim)."""
         return self.local(self.coordinates(directions, phases))
+
+    def followed(self, directions: np.ndarray, phases: np.ndarray, least: float) -> Departure:
+        """Measure the error of the local manifold in the past of starts, too.
+
+        - least: Share of the local manifold at which the past ends.
+        """
+        u = self.coordinates(directions, phases)
+        error = error_behind(self.around, self.local, self.multipliers, u, least)
+        return replace(self, local=replace(self.local, error=max(self.local.error, error)))
 
     def by_phase(self, direction: np.ndarray, phase: float) -> np.ndarray:
         """Derivative of a start by its phase, shape (dim,)."""
@@ -133,13 +147,16 @@ def _of_equilibrium(origin: Equilibrium, sign: int, wanted: float) -> Departure:
     rates, vectors = _eigenvectors(matrix, np.sort(origin.eigenvalues.real)[::-1][:count].min() / 2)
     if len(rates) != count:
         raise InputError("eigenvalues of the equilibrium are too near to zero to be told apart")
-    slowest = 1 / float(rates.real.min())
-    flow = Flow(z, matrix, coupling, slowest, _field(H, 0.0, sign))
+    slowest, field = 1 / float(rates.real.min()), _field(H, 0.0, sign)
+    flow = Flow(z, matrix, coupling, slowest, field)
     radii = np.array([_radius(flow, vectors[:, k], rates[k]) for k in range(count)])
     for k in np.flatnonzero(rates.imag > 0):
         radii[k : k + 2] = radii[k : k + 2].min()
     local = parameterized(flow, rates, vectors * radii, 1.0, wanted)
-    return Departure(H, local, sign, 0.0, rates, None, slowest)
+    time = math.log(_GROWTH) * slowest
+    map_of = _map_of(H, (0.0, sign * time))
+    around = PeriodMap(z, scipy.linalg.expm(matrix * time), coupling, slowest, None, map_of, field)
+    return Departure(H, local, sign, 0.0, rates, None, slowest, around, np.exp(rates * time))
 
 
 def _coupled(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -222,7 +239,7 @@ def _of_orbit(orbit: PeriodicOrbit, sign: int, wanted: float) -> Departure:
     if sign < 0:
         matrix = np.linalg.inv(matrix) if H.forces else symplectic_inverse(matrix)
     coupling = _coupled(np.abs(_jacobians(orbit)).mean(axis=0))[1]
-    scale = coupled_sizes(orbit.arc.scale, coupling, orbit.period)
+    scale = coupled_sizes(_extents(orbit.arc.scale), coupling, orbit.period)
     rates, vectors = _away(matrix * scale / scale[:, None])
     if not len(rates):
         largest = float(np.abs(orbit.multipliers).max())
@@ -243,9 +260,16 @@ def _of_orbit(orbit: PeriodicOrbit, sign: int, wanted: float) -> Departure:
         _field(H, start) if H.time is None else None,
     )
     # The eigenvectors are the columns in units of the orbit.
-    local = parameterized(around, rates**turns, scale[:, None] * vectors, _SHARE, wanted)
+    multipliers = rates**turns
+    local = parameterized(around, multipliers, scale[:, None] * vectors, _SHARE, wanted)
     folding = period / math.log(float(np.abs(rates).min()))
-    return Departure(H, local, sign, start, rates, period, folding)
+    return Departure(H, local, sign, start, rates, period, folding, around, multipliers)
+
+
+def _extents(scale: np.ndarray) -> np.ndarray:
+    """Sizes of components along an orbit; those at rest have that of the largest of their kind."""
+    largest = floored_sizes(scale, 1.0)
+    return np.where(scale > _RESTING * largest, scale, largest)
 
 
 def _away(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

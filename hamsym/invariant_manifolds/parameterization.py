@@ -81,15 +81,15 @@ class Flow:
 
 @dataclass(frozen=True, eq=False)
 class PeriodMap:
-    """The flow over a number of periods of an orbit, near its start; methods as of a Flow."""
+    """The flow over periods of an orbit, or over a time, near its start; methods as of a Flow."""
 
     point: np.ndarray
     matrix: np.ndarray
     #: Mean sizes of the derivative of the vector field along the orbit, its period, and the sizes
-    #: of components along it.
+    #: of components along it; None at an equilibrium.
     coupling: np.ndarray
     time: float
-    units: np.ndarray
+    units: np.ndarray | None
     #: States, shape (n, dim), and the sizes of components that matter -> (n, dim); rows of NaN
     #: where it is not known.
     map: Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -279,6 +279,28 @@ def _on_ball(
         before = change
     u = _complex(_ball(count, _POINTS, seed=1), rates)
     return _judged(dynamics, rates, powers, series, u)
+
+
+def error_behind(
+    around: PeriodMap, local: LocalManifold, multipliers: np.ndarray, u: np.ndarray, least: float
+) -> float:
+    """Measure the error of W at starts and in their past; infinite where it is not known.
+
+    A manifold's trajectories come from the fixed point: the map takes W(u/M) to W(u), W(u/M^2) to
+    W(u/M), and so on. Its trajectories meet every feature of the force on that way, however narrow.
+
+    - multipliers: M, shape (n,).
+    - u: Complex coordinates of the starts, shape (count, n).
+    - least: Length of coordinates at which the way ends.
+    """
+    farthest = np.abs(u).max(initial=0.0)
+    turns = max(1, math.ceil(math.log(farthest / least) / math.log(np.abs(multipliers).min())))
+    way = u * multipliers ** -np.arange(turns)[:, None, None]
+    with np.errstate(all="ignore"):
+        found = _judged(
+            around, multipliers, local.powers, local.series, way.reshape(-1, u.shape[1])
+        )
+    return math.inf if found is None else found.error
 
 
 def _judged(

@@ -665,8 +665,9 @@ static void bound_residual(const program *velocity, const program *force, const 
     negative(found, &other);
     add(&rest, &other, &rest);
     /* What is round-off of the formula itself is no residual. */
-    bounds[i] = larger(larger(fabs(rest.low), fabs(rest.high)) - ROUNDED * rest.rounding, 0.0);
-    hidden[i] = rest.error;
+    double rounded = ROUNDED * rest.rounding;
+    bounds[i] = larger(larger(fabs(rest.low), fabs(rest.high)) - rounded, 0.0);
+    hidden[i] = larger(rest.error - rounded, 0.0);
     rounding[i] = found->rounding;
   }
 }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -48,6 +48,12 @@ class Ensemble:
     def own_parameters(self, rows: Any = slice(None)) -> np.ndarray | None:
         """Return the parameters of some members, or None where all have those of H."""
         return self.parameters[rows] if self.varied else None
+
+    def some(self, rows: np.ndarray) -> Ensemble:
+        """Return members by their numbers, shape (n,), as an ensemble of that shape."""
+        return replace(
+            self, states=self.states[rows], parameters=self.parameters[rows], shape=(len(rows),)
+        )
 
     @property
     def columns(self) -> dict[str, np.ndarray]:

@@ -436,6 +436,16 @@ def test_steps_over_a_barrier_are_no_success(function):
     assert function(barrier, [1, 0], (0, 1.5)).success
 
 
+def test_exponents_of_many_starts_are_refused_behind_a_barrier():
+    barrier = "p**2/2 + x**2/2 + 0.9*exp(-((x - 0.0123456)/w)**2)"
+    found = hamsym.lyapunov(
+        barrier, [[1, 0], [0.005, 0], [1, 0]], (0, 20), parameters={"w": [1e-7, 1e-7, 0.3]}
+    )
+    assert found.success.tolist() == [False, True, True]
+    assert "near t = 1.55845 the force has a feature" in found.message[0]
+    assert np.isnan(found.exponents[0]).all()
+
+
 def test_monodromy_does_not_round_the_period_at_a_late_start():
     H = "p**2/2 + x**2/2"
     assert hamsym.monodromy(H, [1, 0], 2 * np.pi, start=1e13).closure < 1e-9

@@ -112,7 +112,7 @@ _LINEAR = {
 }
 
 
-@pytest.mark.slow_cases("two rates", "equal rates")
+@pytest.mark.slow_cases("two rates", "resonant rates", "equal rates")
 @pytest.mark.parametrize("case", _LINEAR)
 def test_two_dimensional_manifold_is_the_graph_of_a_gradient(case: str) -> None:
     linear, rates = _LINEAR[case]
@@ -167,6 +167,29 @@ def test_length_ends_trajectories() -> None:
     assert np.isnan(found.unstable(found.unstable.span[1])).all()
     short = _saddle("p**2/2 - cos(x)").manifolds(length=30)  # the separatrix has 7.29
     assert not short.success
+
+
+@pytest.mark.parametrize(("place", "width"), [(1e-5, 1e-8), (0.0512, 1e-5)])
+def test_barrier_inside_the_local_manifold_is_met(place: float, width: float) -> None:
+    # Narrower than the distance of the points at which the polynomial is compared with the force.
+    H = hamsym.Hamiltonian(f"p**2/2 - x**2/2 + x**4/4 + 0.1*exp(-((x - {place})/{width})**2)")
+    origin = next(o for o in hamsym.equilibria(H, guess=[1e-7, 1e-7]) if o.z[0] == 0)
+    part = origin.manifolds(duration=1).unstable
+    assert not part.success
+    assert not part.local_error < 0.1 * place
+    assert "narrow feature of the force" in part.message
+
+
+@pytest.mark.parametrize("coupling", ["0", "x**2*y/4"])
+def test_manifold_leaves_the_subspace_of_its_orbit(coupling: str) -> None:
+    # x is at rest along the orbit, and has no size there.
+    H = hamsym.Hamiltonian(f"p_x**2/2 - x**2/2 + x**4/4 + p_y**2/2 + y**2 + {coupling}")
+    orbit = hamsym.periodic_orbit(H, {"x": 0, "y": 1, "p_x": 0, "p_y": 0})
+    found = orbit.manifolds(count=4, duration=4)
+    assert found.success
+    assert found.unstable.local_error < 1e-11
+    assert min(np.abs(z[:, 0]).max() for _, z in found.unstable.paths) > 0.5
+    assert np.abs(found.unstable.trajectories.energy([0.0, 2.0, 4.0]) - orbit.energy).max() < 1e-10
 
 
 @pytest.mark.parametrize(

@@ -36,6 +36,16 @@ def test_kick_is_missed_without_the_bound(monkeypatch: pytest.MonkeyPatch) -> No
     assert windows.states[-1, 1] == pytest.approx(0.5, abs=1e-12)
 
 
+@pytest.mark.parametrize("away", [1e-4, 1e-8, 1e-10])
+def test_round_off_of_the_force_is_not_hidden_between_places(away: float) -> None:
+    # sin(x) has the round-off of x, which is large beside a motion near the saddle.
+    flow, basis = flow_of(Hamiltonian("p**2/2 - cos(x)")), feature_basis(0)
+    windows = march(flow, np.array([math.pi - away, 0.0]), (0.0, 2.0), 1e-13, basis, longest=0.25)
+    rows = Windows(windows.edges, windows.states, windows.readouts)
+    sizes = np.array([math.pi, 4 * away])
+    assert WindowChecks(flow, basis, 1e-13).kicks(rows, sizes, 24) is None
+
+
 def test_energy_check_finds_hidden_step(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(WindowChecks, "unresolved", lambda *_, **__: [])
     H = Hamiltonian("p**2/2 + x**2/2 + tanh(100000*(x - 1/3))/20")

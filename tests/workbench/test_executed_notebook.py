@@ -31,8 +31,8 @@ with stepping_progress(30, text="proving") as advance:
         advance(1)
 """,
     "training": """
-options = {"epochs": 4_000, "points": 20}
-trained = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 1), method="adam", **options)
+adam = hamsym.Adam(epochs=4_000, points=20)
+trained = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 1), method=adam)
 """,
     "quiet": """
 with stepping_progress(30, show=False) as advance:

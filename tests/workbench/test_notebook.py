@@ -83,7 +83,7 @@ MADE: dict[str, tuple[Callable[[], Any], list[str]]] = {
     "Solution": (solution, ["converged", "largest estimated error", "tol 1.0e-09 met", "<img"]),
     "Solution that failed": (
         lambda: hamsym.solve(FALLING, [1, 0], (0, 10)),
-        ["failed", "the error is not known, in x", "stopped at t = 1.85"],
+        ["failed", "largest estimated error", "stopped at t = 1.85"],
     ),
     "Solution in SI": (
         lambda: hamsym.solve(SI, [1e-9, 0], (0, 1e-8)),
