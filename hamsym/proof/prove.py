@@ -25,6 +25,7 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof.arithmetic.float64_arithmetic import require_float64
 from hamsym.proof.boxes.box_certificate import BoxCertificate, map_digest
 from hamsym.proof.boxes.box_proof import certify_box, proven_bound
+from hamsym.proof.boxes.public_map import check_map
 from hamsym.proof.independent import (
     verify_equilibrium,
     verify_flow_map,
@@ -297,6 +298,7 @@ def verify(
         _require_form_of_box(certificate, flow)
         if independent:
             verify_flow_map(certificate, flow, deadline.check)
+            check_map(flow, [tuple(certificate.box[name] for name in flow.inputs)])
         else:
             _verify_box(certificate, flow, deadline)
     elif isinstance(certificate, hamsym.SectionCertificate):

@@ -13,7 +13,7 @@ from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.flow_maps.box import checked_box
 from hamsym.flow_maps.compiled_piece import CompiledPiece
 from hamsym.flow_maps.expansion import Chain, Split
-from hamsym.proof.boxes import box_proof
+from hamsym.proof.boxes import box_proof, carried_errors
 from hamsym.proof.boxes.box_certificate import BoxCertificate
 from hamsym.proof.boxes.tube import Flow
 
@@ -52,6 +52,16 @@ def corrupted(flow, amount):
     readouts[0, 0] += amount
     changed.pieces[0] = CompiledPiece(piece.degrees, readouts, piece.columns)
     return dataclasses.replace(flow, map=changed)
+
+
+@pytest.mark.parametrize("checker", ["kernel", "independent"])
+def test_both_checkers_compare_what_users_evaluate(quartic, certificate, checker):
+    # The compiled function keeps the numbers that it was made with.
+    changed = corrupted(quartic, 1e-3)
+    changed(0.5, [1.3, 1.0])
+    changed.map.pieces[0].readouts = quartic.map.pieces[0].readouts
+    with pytest.raises(CertificationError, match="the flow map at t = "):
+        hamsym.verify(certificate, changed, checker=checker)
 
 
 def test_bound_contains_error_of_harmonic_map(harmonic):
@@ -228,6 +238,23 @@ def test_changes_between_legs_are_errors(chain, monkeypatch):
     bound = np.array(wrong.certify().bound)
     assert (errors_at_random(wrong, turned) <= bound + 4e-15).all()
     assert (bound > 1e-6).all()
+
+
+def test_errors_pass_from_leg_to_leg_once(chain, monkeypatch):
+    # Where M has become the identity in the last step of a leg already, that is not done again.
+    first, second = chain.map.maps
+    changed = copy.deepcopy(first)
+    own = changed.pieces[-1]
+    changed.pieces[-1] = CompiledPiece(own.degrees, 1.001 * own.readouts, own.columns)
+    legs = Chain([changed, second], chain.map.joints, chain.map.kept)
+    wrong = dataclasses.replace(chain, map=legs)
+    usual = wrong.certify().bound
+    monkeypatch.setattr(carried_errors, "_LARGE", 0.0)
+    bound = wrong.certify().bound
+    assert np.allclose(bound, usual, rtol=1e-3)
+    error = errors_at_random(wrong, turned)
+    assert (error <= np.array(bound)).all()
+    assert (error > 0.5 * np.array(bound)).any()
 
 
 @pytest.mark.slow

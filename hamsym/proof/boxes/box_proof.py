@@ -453,13 +453,13 @@ class _Front:
         """Go on from the end of a step."""
         assert self._errors is not None
         self.spent, self.tries = spent, np.zeros(len(self), dtype=int)
-        self._errors = self._errors.after(trial.models, trial.errors)[0]
+        is_last = len(self.steps) == 1  # of the leg
+        self._errors = self._errors.after(trial.models, trial.errors, is_last=is_last)[0]
         self._states = [self._proof.space.at_end(model, 1) for model in trial.states]
         self._number = trial.models.step.number
         self.steps.pop()
         self.halvings, self.worst = 0, np.inf
-        if not self.steps:  # the next leg
-            self._errors = self._errors.reframed(trial.models)
+        if is_last:
             self.parts, self._number = self.parts[1:], -1
             self._entry = self._states
             del self._leg

@@ -194,9 +194,12 @@ class CarriedErrors:
         return np.asarray(sum_up(found, entries.shape[2] + 6 * dim + edges))
 
     def after(
-        self, models: StepModels, step: ErrorStep
+        self, models: StepModels, step: ErrorStep, *, is_last: bool = False
     ) -> tuple[CarriedErrors, list[np.ndarray], list[np.ndarray]]:
-        """The columns after a step; and V and V_error of each of the derivatives on it."""
+        """The columns after a step; and V and V_error of each of the derivatives on it.
+
+        - is_last: Whether M must be the identity after it, as at the end of a leg.
+        """
         dim, space = self.stepper.flow.dim, self.stepper.space
         with np.errstate(all="ignore"):  # infinite where there is no bound
             M, S = sizes(models.fundamental), sizes(models.adjoint)
@@ -234,8 +237,8 @@ class CarriedErrors:
                 np.stack(bounds, axis=1),
             )
             reach = np.einsum("ijc,jkc,kc->ic", M, S, step.bound) / step.bound
-            if not reach.max() <= _LARGE:
-                found = found.reframed(models)
+            if is_last or not reach.max() <= _LARGE:
+                found = found._reframed(models)
         return found, V, V_error
 
     def _forced(self, models: StepModels, step: ErrorStep) -> list[list[Model] | None]:
@@ -301,7 +304,7 @@ class CarriedErrors:
         radii = self._moved(inverse, self.stepper.first(edges.shape[2]))
         return replace(self, frame=frame, radii=sum_up(radii + share * radii.max(axis=0)))
 
-    def reframed(self, models: StepModels) -> CarriedErrors:
+    def _reframed(self, models: StepModels) -> CarriedErrors:
         """The same columns with M the identity."""
         space, dim = self.stepper.space, len(self.frame)
         ends = [[space.at_end(entry, 1) for entry in row] for row in models.fundamental]
