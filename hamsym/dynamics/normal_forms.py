@@ -22,6 +22,7 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -187,21 +188,28 @@ class _Construction:
         """Normalise degree by degree."""
         jet, generators, resonances = self._expanded(), [], set()
         for s in range(3, self._degree + 1):
-            chi, jet = {}, jet.cleaned(s)
-            for powers, value in jet.terms(s).items():
+            jet = jet.cleaned(s)
+            if s not in jet.parts:
+                continue
+            divisors: dict[Powers, acb] = {}
+            for powers in jet.terms(s):
                 half = powers[: self._dof]
                 k = tuple(a - b for a, b in zip(half, powers[self._dof :], strict=True))
-                divisor = acb(0, 1) * sum(
-                    (n * w for n, w in zip(k, self._omega, strict=True)), arb(0)
-                )
-                if any(k) and not divisor.contains(0):
-                    chi[powers] = value / divisor
+                divisor = self._divisor(k)
+                if not divisor.contains(0):
+                    divisors[powers] = acb(0, divisor)
                 elif any(k):
                     resonances.add(min(k, tuple(-n for n in k)))
-            if chi:
-                generators.append(BallPolynomial.of(chi, self._degree))
-                # What is removed is exactly zero.
-                jet = jet.flowed(generators[-1]).without(chi)
+            # Terms that may be zero are removed, too: they are in the error of the generator.
+            every = (self._divisor(k) for n in range(s, 0, -2) for k in _vectors(self._dof, n))
+            sizes = (divisor.abs_lower() for divisor in every if not divisor.contains(0))
+            smallest = reduce(arb.min, sizes, arb("inf"))
+            chi, left = jet.split(s, divisors, smallest)
+            if chi.parts:
+                generators.append(chi)
+                # What is removed is exactly zero, and the bracket with the quadratic part has no
+                # other terms of this degree.
+                jet = jet.flowed(chi).with_part(s, left)
         coefficients = self._in_actions(jet)
         # To the degree of H, the coordinates are needed to one degree less.
         ones = ({_unit(2 * self._dof, k): 1} for k in range(self._dof))
@@ -227,6 +235,10 @@ class _Construction:
             np.array([[complex(v) for v in row] for row in self._basis]),
         )
         return replace(found, domain=_domain(self._H, found))
+
+    def _divisor(self, k: Powers) -> arb:
+        """k . omega."""
+        return sum((n * w for n, w in zip(k, self._omega, strict=True)), arb(0))
 
     def _modes(self) -> tuple[list[arb], list[list[acb]]]:
         """Signed frequencies, and the columns u_k and i conj(u_k) with u^T J i conj(u) = 1."""
@@ -317,8 +329,8 @@ class _Construction:
                 None,
                 "not decided: for more than two degrees of freedom there is no theorem here",
             )
-        for k in _vectors(4):
-            if (k[0] * omega[0] + k[1] * omega[1]).contains(0):
+        for k in itertools.chain(*(_vectors(2, order) for order in range(1, 5))):
+            if self._divisor(k).contains(0):
                 return None, f"not decided: {k[0]} omega_1 + {k[1]} omega_2 may be zero"
         if self._degree < 4:
             return None, "not decided: the degree is below 4"
@@ -366,12 +378,12 @@ def _powers(count: int, total: int) -> Iterator[Powers]:
             yield (first, *rest)
 
 
-def _vectors(order: int) -> Iterator[tuple[int, int]]:
-    """Pairs (k_1, k_2) with 0 < |k_1| + |k_2| <= order, one of k and -k."""
-    for a in range(order + 1):
-        for b in range(-(order - a), order - a + 1):
-            if (a, b) > (0, 0):
-                yield a, b
+def _vectors(count: int, order: int) -> Iterator[Powers]:
+    """Vectors of whole numbers with |k_1| + |k_2| + ... = order, one of k and -k."""
+    for sizes in _powers(count, order):
+        for k in itertools.product(*((n, -n) if n else (0,) for n in sizes)):
+            if next(filter(None, k)) > 0:
+                yield k
 
 
 def _point(balls: DerivativeBalls, z: np.ndarray) -> list[arb]:

@@ -125,6 +125,22 @@ def test_signs_of_modes_and_what_is_not_decided() -> None:
     assert flat.stable is None
 
 
+def test_cubic_terms_within_round_off_count_beside_a_resonance() -> None:
+    # With u = x - sqrt(2) the cubic part is c u^2 y, hidden by the round-off of (x^2 - 2)^3 y: its
+    # effect c^2/(2 omega_1 - omega_2) on the degree four is as large as that of the last term.
+    text = (
+        "p**2/2 + (x - sqrt(2))**2/2 - q**2/2 - (2 + 2**(-235))**2*y**2/2"
+        " + 2**(-196)*(x**2 - 2)**2*y/8 + (x**2 - 2)**3*y - 2**(-156)*y**4"
+    )
+    H = Hamiltonian(text, q=["x", "y"], p=["p", "q"])
+    form = H.equilibria([2**0.5, 0, 0, 0])[0].normal_form(4)
+    # -1/4 of the sum of k . d/dI (h_k^2 / (k . omega)) for k = (2, -1)
+    mixed = 4 * (2.0**-196) ** 2 / 4 / 2.0**-235 / 4
+    assert form.coefficients[1, 1].contains(mixed)
+    assert form.stable is None
+    assert "determinant may be zero" in form.statement
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

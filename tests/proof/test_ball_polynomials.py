@@ -130,3 +130,26 @@ def test_coefficients_that_vanish_beside_a_large_one_are_in_the_error() -> None:
         assert part.powers() == [(3, 0)]
     with working(400):
         assert part.error >= 3 * arb(small)
+
+
+def test_size_of_a_rounded_part_bounds_its_norm() -> None:
+    """Each coefficient below zero is rounded away from zero."""
+    with working(128, DEGREE + 1):
+        value = acb(arb(-(2**127) - 1), arb(-(2**126) - 1))
+        part = BallPolynomial.of({(a, 3 - a): value for a in range(4)}, DEGREE).parts[3]
+    norm = sum(abs(int(c)) for c in (*part.re.coeffs(), *part.im.coeffs()))
+    with working(400):
+        assert part.size >= arb((norm, part.exponent))
+
+
+def test_terms_over_divisors_have_the_error_of_all_terms() -> None:
+    with working(128, DEGREE + 1):
+        terms = {(2, 1): acb(arb(3, 2.0**-40)), (0, 3): acb(6)}
+        f = BallPolynomial.of(terms, DEGREE)
+        over, left = f.split(3, {(2, 1): acb(0, 3)}, arb(2.0**-10))
+        # (3, 0) is in the error alone: its divisor may be the smallest
+        assert over.coefficient((3, 0)).abs_upper() >= arb(2.0**-30)
+        assert over.coefficient((2, 1)).contains(acb(0, -1))
+        assert left.terms().keys() == {(0, 3)}
+        assert not left.coefficient((3, 0)).is_zero()
+        assert f.with_part(3, left).coefficient((0, 3)).contains(6)

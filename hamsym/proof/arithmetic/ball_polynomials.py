@@ -33,11 +33,12 @@ class _Part:
         size = sum(map(abs, (*re.coeffs(), *im.coeffs())), start=0)
         shift = int(size).bit_length() - ctx.prec
         if shift > 0:
-            # Each coefficient changes by less than one unit, also if nothing is left of it.
+            # Each coefficient changes by less than one unit, also if nothing is left of it. One
+            # below zero may be rounded away from zero: the size may grow by as much.
             count, exponent = len(re) + len(im), exponent + shift
             re, im = re // 2**shift, im // 2**shift
             error = error + arb((count, exponent))
-            size = (int(size) >> shift) + 1
+            size = (int(size) >> shift) + count
         self.re, self.im, self.exponent = re, im, exponent
         self.error = error.upper() if not error.is_zero() else error
         self.size = arb((int(size), exponent))
@@ -236,11 +237,28 @@ class BallPolynomial:
         part = self.parts.get(degree)
         return self._with({**self.parts, degree: part.cleaned()}) if part else self
 
-    def without(self, terms: Mapping[Powers, Any]) -> BallPolynomial:
-        """The polynomial without coefficients of one degree that are exactly zero."""
-        n = sum(next(iter(terms)))
-        part = self.parts[n]
-        return self._with({**self.parts, n: part.without(terms, part.error)})
+    def split(
+        self, degree: int, divisors: Mapping[Powers, acb], smallest: arb
+    ) -> tuple[BallPolynomial, BallPolynomial]:
+        """The terms of one degree that have a divisor, each over it, and the other terms.
+
+        - divisors: Of the terms that are not zero in the middle; real or imaginary.
+        - smallest: A lower bound of all divisors, also of those of terms that are in the error
+          alone: the error is one of all terms together.
+        """
+        part = self.parts[degree]
+        middles = {powers: part.coefficient(powers).mid() for powers in divisors}
+        over = _part(self._ring, {p: middles[p] / divisor for p, divisor in divisors.items()})
+        error = over.error + part.error / smallest
+        return (
+            self._with({degree: _Part(over.re, over.im, over.exponent, error)}),
+            self._with({degree: part.without(divisors, part.error)}),
+        )
+
+    def with_part(self, degree: int, other: BallPolynomial) -> BallPolynomial:
+        """The polynomial whose part of a degree is that of another polynomial."""
+        parts = {n: part for n, part in self.parts.items() if n != degree}
+        return self._with({**parts, **{n: p for n, p in other.parts.items() if n == degree}})
 
 
 def _part(ring: fmpz_mpoly_ctx, terms: Mapping[Powers, acb]) -> _Part:
