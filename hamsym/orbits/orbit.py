@@ -30,7 +30,7 @@ from hamsym.orbits.multipliers import (
     reduced_map,
     stability_of,
 )
-from hamsym.orbits.period import period_of
+from hamsym.orbits.period import ROUNDED, Period, has_period, period_of
 from hamsym.orbits.search import check, converged, first_arc, first_return, refined, shot
 from hamsym.orbits.symmetry import closing_of
 from hamsym.random_features.flow import flow_of
@@ -332,8 +332,8 @@ def periodic_orbit(
     PeriodicOrbit
         ``success`` is false if Newton's method does not converge, the estimated error is above
         the tolerance, H or its gradient jumps on the way, the force has a feature between the
-        points of the windows, or an H that depends on time does not have the period; ``message``
-        says why.
+        points of the windows, or an H that depends on time is not shown to have the period;
+        ``message`` says why.
 
     Raises
     ------
@@ -429,7 +429,7 @@ def solved_orbit(
     failure = found.failure or _degenerate(problem, finer)
     if not failure and not error <= tol:
         failure = f"the estimated error {error:.1e} is above tol {tol:.1e}"
-    failure = failure or _jump(problem, finer) or _other_period(problem, finer, tol)
+    failure = failure or _jump(problem, finer) or _other_period(problem)
     failure = failure or missed_feature(problem, finer, tol)
     seconds = time.perf_counter() - start
     elapsed = "" if began is None else f" in {seconds:.2g} s"
@@ -440,7 +440,7 @@ def solved_orbit(
             "; not isolated, as far as float64 shows: H has more conserved quantities, or a "
             "bifurcation is near"
         )
-    repetitions = 1 if failure else _repetitions(problem, finer, tol)
+    repetitions = 1 if failure else _repetitions(problem, finer)
     if repetitions > 1 and problem.period is None and reduce:
         once = solved_orbit(problem, _first_part(finer, repetitions), tol, began, reduce=False)
         if once.success and once.repetitions == 1:
@@ -520,26 +520,20 @@ def _jump(problem: Problem, arc: Arc) -> str:
     return "" if found is None else f"not a smooth orbit: {found.split(',')[0]}"
 
 
-def _other_period(problem: Problem, arc: Arc, tol: float) -> str:
-    """Why an H that depends on time does not have the period of an orbit, or an empty text."""
+def _other_period(problem: Problem, parts: int = 1) -> str:
+    """Why H does not have a part of the given period in time, or an empty text."""
     if problem.autonomous:
         return ""
-    flow, turns = flow_of(problem.H), np.linspace(0, 1, _POINTS)
-    states, times = arc.at(turns), problem.start + turns * arc.period
-    scale = arc.scale
-    later = times + arc.period
-    rounded = later + 4 * np.spacing(np.abs(later))
-    for function, units in ((flow.vector_field, scale), (flow.jacobian, scale[:, None] / scale)):
-        now, then, near = (function(states, t) / units for t in (times, later, rounded))
-        allowed = tol * np.abs(now).max() + np.abs(near - then).max()
-        if not np.abs(then - now).max() <= allowed + 1e-12 * np.abs(now).max():
-            return (
-                f"H does not have the period {arc.period:.10g} in time; give a multiple of its own"
-            )
-    return ""
+    exact = cast(Period, problem.exact_period)
+    if has_period(problem.H, exact.formula / parts, ROUNDED):
+        return ""
+    return (
+        f"H is not shown to have the period {exact.value / parts:.10g} in time; give a multiple of "
+        'its own with all digits, such as "2*pi/omega"'
+    )
 
 
-def _repetitions(problem: Problem, arc: Arc, tol: float) -> int:
+def _repetitions(problem: Problem, arc: Arc) -> int:
     """The number of times that the orbit, and H in time, close in the period."""
     orbit = _unjudged(problem, arc)
     times = problem.start + np.linspace(0, arc.period, _POINTS)
@@ -552,7 +546,7 @@ def _repetitions(problem: Problem, arc: Arc, tol: float) -> int:
             np.abs((orbit(times[part] + shortest / prime) - states[part]) / units).max() < _SAME
             for part in (slice(1), slice(None))
         ):
-            if _other_period(problem, replace(arc, period=shortest / prime), tol):
+            if _other_period(problem, found * prime):
                 break
             found, shortest = found * prime, shortest / prime
             if found > 100:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import sympy
+from sympy.functions.elementary.trigonometric import TrigonometricFunction
 
 from hamsym.errors import CertificationError, InputError
 from hamsym.formula.parser import parse_expression
@@ -58,6 +59,54 @@ def period_of(H: Hamiltonian, period: Any) -> Period | None:
     return Period(float(value), formula)
 
 
+# -- periods of H in time --------------------------------------------------------------------------
+
+#: Part of an angle over a period that is no more than the rounding of the period and of
+#: frequencies.
+ROUNDED = 1e-14
+
+
+def has_period(H: Hamiltonian, period: sympy.Expr, rounding: float) -> bool:
+    """Whether the equations of motion are shown to be the same a period later, at every state.
+
+    - rounding: Part of the angle by which the argument of a sine grows in the period that may miss
+      a multiple of a right angle.
+
+    Examples
+    --------
+    >>> H = Hamiltonian("p**2/2 + x**2/2 - x*cos(0.3*t)")
+    >>> exact, nearest = sympy.pi * 20 / 3, rational(20 * math.pi / 3)
+    >>> has_period(H, exact, ROUNDED), has_period(H, nearest, ROUNDED), has_period(H, nearest, 0)
+    (True, True, False)
+    """
+    form = H.real_equations
+    if form.time is None:
+        return True
+    values = {s: rational(value) for s, value in form.parameters.values() if value is not None}
+    duration = without_floats(period).xreplace(values)
+    energy, *forces = (without_floats(formula).xreplace(values) for formula in form.formulas)
+    changes = [_later(f, form.time, duration, rounding) - f for f in (energy, *forces)]
+    # A change of the energy that is the same at all states acts on none.
+    slopes = [sympy.diff(changes[0], symbol) for symbol in form.z]
+    return all(derivatives.vanishes(change) for change in (*slopes, *changes[1:]))
+
+
+def _later(expr: sympy.Expr, time: sympy.Symbol, period: sympy.Expr, rounding: float) -> Any:
+    """A formula at t + T, in which angles grow by multiples of right angles up to rounding."""
+    if expr == time:
+        return time + period
+    if not expr.has(time):
+        return expr
+    args = [_later(arg, time, period, rounding) for arg in expr.args]
+    if isinstance(expr, TrigonometricFunction):
+        quarters = sympy.expand(args[0] - expr.args[0]) * 2 / sympy.pi
+        if quarters.is_number:
+            turned = sympy.Integer(round(quarters.evalf(40)))
+            if abs((quarters - turned).evalf(40)) <= rounding * abs(turned):
+                args = [expr.args[0] + turned * sympy.pi / 2]
+    return expr.func(*args)
+
+
 # -- units of an arc -------------------------------------------------------------------------------
 
 
@@ -86,16 +135,13 @@ def in_units_of_the_arc(problem: Problem, parts: int) -> tuple[Hamiltonian, str 
     exact = without_floats(problem.exact_period.formula)
     if problem.autonomous:
         return _moved(H, exact / parts, {}, {}), None
-    symbols = free_symbols((H.expr, *H.forces.values()))
-    by_name = {symbol.name: symbol for symbol in symbols}
+    if not has_period(H, exact, 0.0):
+        raise CertificationError(
+            f"H is not shown to have the period {problem.exact_period.formula} in time; give "
+            'the exact period, such as "2*pi/omega"'
+        )
+    by_name = {symbol.name: symbol for symbol in free_symbols((H.expr, *H.forces.values()))}
     exact = exact.xreplace({s: by_name[s.name] for s in exact.free_symbols if s.name in by_name})
-    later = {H.time: H.time + exact}
-    for formula in map(without_floats, (H.expr, *H.forces.values())):
-        if not derivatives.vanishes(sympy.expand(formula.xreplace(later) - formula)):
-            raise CertificationError(
-                f"H is not shown to have the period {problem.exact_period.formula} in time; give "
-                'the exact period, such as "2*pi/omega"'
-            )
     start = rational(problem.start)
     return _moved(H, exact, {H.time: start + exact * H.time}, {}), None
 

@@ -257,7 +257,41 @@ def test_collapse_to_an_equilibrium_is_no_success():
 def test_period_that_H_does_not_have_is_no_success(H, guess):
     orbit = hamsym.periodic_orbit(H, guess, period=3.0)
     assert not orbit.success
-    assert "does not have the period 3 in time" in orbit.message
+    assert "not shown to have the period 3 in time" in orbit.message
+
+
+@pytest.mark.parametrize(
+    "rest",
+    [
+        " - 5*x*exp(-((t - 8.7)/0.004)**2)",  # between the points of the next period
+        " - x*(1 + tanh(5*(t - 30)))/2",  # in the fifth period
+        " - 0.3*x*cos(1.00000000001*t)",
+    ],
+)
+def test_force_without_the_period_is_no_success_whenever_it_acts(rest):
+    H = "p**2/2 + x**2 + x**4/4 - 0.3*x*cos(t)" + rest
+    orbit = hamsym.periodic_orbit(H, [0.3, 0.0], period="2*pi")
+    assert not orbit.success
+    assert "not shown to have the period" in orbit.message
+
+
+@pytest.mark.parametrize(
+    ("drive", "period"),
+    [
+        ("cos(0.7*t)", 2 * np.pi / 0.7),
+        ("cos(w*t + 1)", 2 * np.pi / 1.3),
+        ("cos(w*t + 1)", "2*pi/w"),
+        ("cos(0.1*t)*sin(0.3*t + 1)", 2 * np.pi / 0.2),  # the signs of both change
+        ("exp(cos(3*w*(t - 1)) + x*sin(w*t)**2/10)", 10.0 * np.pi / (5 * 1.3)),
+        ("(cos(2*t)**4 + sin(2*t)**4)", "pi/4"),
+        ("cos(t + sin(2*t)/3 - x/10)", "2*pi"),
+    ],
+)
+def test_driven_orbit_has_the_period_of_its_rounded_frequencies(drive, period):
+    # the last term is the same at all states
+    H = hamsym.Hamiltonian(f"p**2/2 + x**2 + x**4/4 + x*{drive}/50 + w*t", parameters={"w": 1.3})
+    orbit = hamsym.periodic_orbit(H, [0.0, 0.0], period=period)
+    assert orbit.success, orbit.message
 
 
 def test_period_of_H_is_accepted_at_late_times():
