@@ -105,28 +105,49 @@ def solve(
     array([1., 0.])
     """
     chosen = method_of(method)
+    problem = problem_of(
+        *(H, z0, span, chosen, seed, tol, prove, invariants),
+        atol=atol,
+        breakpoints=breakpoints,
+        progress=progress,
+    )
+    solution: Solution = chosen.solve(problem)
+    known = problem.invariants
+    if known:
+        solution = judged_by_invariants(solution, known)
+    return proven(solution) if prove else solution
+
+
+def problem_of(
+    H: HamiltonianLike,
+    z0: Sequence[float] | Mapping[Any, float] | np.ndarray,
+    span: tuple[float, float],
+    method: Method,
+    seed: int,
+    tol: float | None = None,
+    prove: bool = False,
+    invariants: InvariantLike | Sequence[InvariantLike] = (),
+    **further: Any,
+) -> InitialValueProblem:
+    """Return the problem that a method solves in a call of :func:`solve`.
+
+    Raise InputError if an argument is invalid.
+    """
     if not isinstance(prove, bool):
         raise InputError(f"prove={prove!r} is not a choice; give True or False")
     H = Hamiltonian.of(H)
-    known = KnownInvariants(H, invariants)
-    problem = InitialValueProblem.checked(
+    return InitialValueProblem.checked(
         H,
         z0,
         span,
         seed,
-        tol=chosen.usual_tol if tol is None else tol,
-        atol=atol,
-        breakpoints=breakpoints,
-        finite=not chosen.marches,  # a march finds that at its start
+        tol=method.usual_tol if tol is None else tol,
+        finite=not method.marches,  # a march finds that at its start
         tol_given=tol is not None,
         prove=prove,
-        invariants=known,
-        progress=progress,
+        invariants=KnownInvariants(H, invariants),
+        **further,
     )
-    solution: Solution = chosen.solve(problem)
-    if known:
-        solution = judged_by_invariants(solution, known)
-    return proven(solution) if prove else solution
 
 
 solve = checked_keywords(solve, answer=_answer)

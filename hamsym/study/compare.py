@@ -238,7 +238,7 @@ def compare(
     count = solution.points if points is None else points
     if exact is None:
         # A norm of largest errors: those of components may come together.
-        own = float(np.linalg.norm(solution.largest_error)) if solution.success else math.inf
+        own = largest(np.atleast_1d(np.linalg.norm(solution.largest_error)))
         truth = reference_for(H, z0, span, solution, own)
     else:
         truth = ReferenceSolution.exact(exact)

@@ -109,6 +109,8 @@ def find_match(
     """
     if not target < math.inf:
         return Match(None, 0, target, 0.0, reason="unknown: the network's error is not finite")
+    if not truth.error < math.inf:
+        return Match(None, 0, math.inf, 0.0, reason=_UNKNOWN)
     known = truth.judges(target)
     bound = target if known else target + 2 * truth.error
     search = _Search(solution, name, bound, truth)

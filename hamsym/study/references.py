@@ -6,7 +6,7 @@ Output: :class:`ReferenceSolution`: t -> states.
 DOP853 at tolerance 1e-13 takes a tenth of a second, and its error is often above 1e-12. Where that
 is more than a hundredth of the error to be judged, the middle of an enclosure of the exact solution
 (:func:`hamsym.enclose`) takes its place, whose error is a few units in the last place of float64.
-So it does where a solution that succeeded is further from DOP853 than both errors allow.
+So it does where the solution is further from DOP853 than both errors allow.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def reference_for(
 
     Raise InputError if DOP853 stops before the end of the span.
 
-    - estimated: 2-norm of the estimated error of these states; infinite if it is not trusted.
+    - estimated: 2-norm of the estimated error of these states; infinite if it is unknown.
 
     Examples
     --------

@@ -24,9 +24,10 @@ from hamsym.problems.problem import (
     checked_tol,
 )
 from hamsym.solution.digest import digest
+from hamsym.solution.settings import Settings
 from hamsym.solution.solution import Solution
 from hamsym.solving.methods import method_of, option_message
-from hamsym.solving.solve import solve
+from hamsym.solving.solve import problem_of, solve
 from hamsym.support.suggestions import keyword_message
 from hamsym.support.validation import plain
 
@@ -60,13 +61,26 @@ class Run:
 
     def carry_out(self, progress: Callable[[TrainingState], None]) -> None:
         """Solve, and write the file."""
-        options: dict[str, Any] = dict(self.options)
-        if self.initial is not None:
-            options["method"] = replace(options["method"], initial=load_solution(self.initial))
+        options = self._options()
         solution = solve(self.H, self.z0, self.span, seed=self.seed, progress=progress, **options)
         if getattr(solution.record, "stopped", "") == "interrupted":
             raise KeyboardInterrupt
         solution.save(self.file)
+
+    def asked(self) -> Settings:
+        """Return the settings that the solution of the run has."""
+        options = self._options()
+        method = options.pop("method")
+        return Settings.of(
+            problem_of(self.H, self.z0, self.span, method, self.seed, **options), method
+        )
+
+    def _options(self) -> dict[str, Any]:
+        """Return the options, with the initial weights."""
+        options = dict(self.options)
+        if self.initial is not None:
+            options["method"] = replace(options["method"], initial=load_solution(self.initial))
+        return options
 
 
 def arguments_of(given: Any, where: str = "the settings") -> dict[str, Any]:

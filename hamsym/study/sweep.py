@@ -274,11 +274,14 @@ def sweep(
 
 
 def _loaded(run: Run) -> Solution:
-    """Load the solution of a run; one of another problem is refused."""
-    found = load_solution(run.file)
-    given = found.H, found.z0.tolist(), tuple(found.settings.span)
-    if given != (run.H, run.z0.tolist(), tuple(run.span)):
+    """Load the solution of a run; one of another problem or with other settings is refused."""
+    found, asked = load_solution(run.file), run.asked()
+    if (found.H, found.z0.tolist()) != (run.H, run.z0.tolist()):
         raise FileError(f"'{run.file}' has the solution of another problem; remove it")
+    # A file of another version is that of a run if the methods are of one revision.
+    asked = replace(asked, version=found.settings.version)
+    if (found.method, found.settings) != (run.options["method"].name, asked):
+        raise FileError(f"'{run.file}' has a solution with other settings; remove it")
     return found
 
 

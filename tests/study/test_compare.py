@@ -309,6 +309,18 @@ def test_references_that_miss_a_pulse_have_no_error() -> None:
     assert "whose error is not known" in comparison.summary().replace("\n", " ")
 
 
+@pytest.mark.parametrize("end", [7, pytest.param(100, marks=pytest.mark.slow)])
+def test_references_that_miss_a_spike_match_nothing(end: float) -> None:
+    """The second solution ends early, without success, and is accurate before."""
+    solution = hamsym.solve("p**2/2 + x**2/2 + 0.01*exp(-((x - 0.5)/1e-5)**2)", [1, 0], (0, end))
+    assert solution.success == (end == 7)
+    assert (solution.largest_error < 1e-8).all()
+    comparison = hamsym.compare(solution, ["blanes_moan6", "dop853"], points=100, max_steps=1_000)
+    assert comparison.reference_error == math.inf
+    for match in comparison.matches.values():
+        assert match.reason.startswith("unknown")
+
+
 def test_enclosures_are_references_of_motions_that_run_backwards() -> None:
     problem = harmonic_oscillator()
     solution = hamsym.solve(problem.H, problem.z0, (0, -5), tol=1e-10)

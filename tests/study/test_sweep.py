@@ -194,3 +194,13 @@ def test_file_of_another_problem_is_refused(tmp_path):
     hamsym.solve("p**2/2 + 9*x**2/2", [2, 0], (0, 1)).save(file)
     with pytest.raises(hamsym.FileError, match="another problem"):
         hamsym.sweep(*given, folder=tmp_path, seeds=1, workers=1)
+
+
+@pytest.mark.parametrize("other", [{"tol": 1e-3}, {"tol": 1e-9, "method": hamsym.NetworkChain()}])
+def test_file_with_other_settings_is_refused(tmp_path, other):
+    given = ("p**2/2 + x**2/2", [1, 0], (0, 1), {"a": {"tol": 1e-9}})
+    hamsym.sweep(*given, folder=tmp_path, seeds=1, workers=1)
+    [file] = tmp_path.glob("*.hamsym")
+    hamsym.solve(*given[:3], **other).save(file)
+    with pytest.raises(hamsym.FileError, match="other settings"):
+        hamsym.sweep(*given, folder=tmp_path, seeds=1, workers=1)
