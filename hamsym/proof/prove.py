@@ -22,6 +22,7 @@ from hamsym.archive import certificate_from, load_as
 from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.numerics.linear_systems import blas_on_one_core
 from hamsym.proof.arithmetic.float64_arithmetic import require_float64
 from hamsym.proof.boxes.box_certificate import BoxCertificate, map_digest
 from hamsym.proof.boxes.box_proof import certify_box, proven_bound
@@ -115,11 +116,12 @@ def certify(
     require_float64()
     known_by = _digest_of(solution)
     deadline = Deadline.after(time_limit)
-    claims = _on_windows(solution, rtol, asked, deadline, progress)
-    if asked is not None:
-        _require_below(claims, asked, solution.H.names)
-        claims["asked"] = asked
-    check_solution(solution)
+    with blas_on_one_core():  # the products of a window are too small for more
+        claims = _on_windows(solution, rtol, asked, deadline, progress)
+        if asked is not None:
+            _require_below(claims, asked, solution.H.names)
+            claims["asked"] = asked
+        check_solution(solution)
     return Certificate(
         **claims,
         rtol=float(rtol),
@@ -350,7 +352,7 @@ def _verify_solution(
     if independent:
         verify_solution(claims, solution, deadline.check)
         return
-    with share_progress(progress, "proving") as report:
+    with blas_on_one_core(), share_progress(progress, "proving") as report:
         WindowProof(solution, deadline, report).require(claims)
 
 

@@ -26,6 +26,7 @@ from hamsym.flow_maps.box import Box
 from hamsym.flow_maps.expansion import Chain, Leg, Split
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.formula.parser import canonical_name
+from hamsym.numerics.linear_systems import blas_on_one_core
 from hamsym.proof.arithmetic.balls import working
 from hamsym.proof.arithmetic.float64_arithmetic import require_float64
 from hamsym.proof.arithmetic.functions import SingularityError
@@ -114,7 +115,7 @@ def proven_bound(
     except ValueError as error:
         raise CertificationError(f"the map is not valid: {error}; make it again") from None
     proof = _Proof(flow, deadline, max_parts)
-    with np.errstate(all="ignore"):  # what overflows has no bound
+    with blas_on_one_core(), np.errstate(all="ignore"):  # what overflows has no bound
         proof.run(tuple(intervals))
         check_map(flow, proof.proven)
     if not np.isfinite(proof.largest).all():

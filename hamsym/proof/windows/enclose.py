@@ -15,6 +15,7 @@ import numpy as np
 from hamsym.errors import CertificationError, InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.kernel.enclosures import enclosures
+from hamsym.numerics.linear_systems import blas_on_one_core
 from hamsym.problems.problem import InitialValueProblem
 from hamsym.proof.arithmetic.ball import Ball
 from hamsym.proof.arithmetic.balls import number_of
@@ -100,15 +101,16 @@ def enclose(
     """
     require_whole("max_parts", max_parts, 1)
     problem = _Problem.checked(H, z0, span, parameters, time_limit)
-    try:
-        found = problem.by_windows()
-    except TimeLimitError:
-        raise
-    except CertificationError as failure:
-        if not problem.radii.any():
+    with blas_on_one_core():  # the products of a window are too small for more
+        try:
+            found = problem.by_windows()
+        except TimeLimitError:
             raise
-        found = problem.in_parts(max_parts, failure)
-    check_enclosure(found)
+        except CertificationError as failure:
+            if not problem.radii.any():
+                raise
+            found = problem.in_parts(max_parts, failure)
+        check_enclosure(found)
     return found
 
 
