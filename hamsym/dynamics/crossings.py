@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hamsym.errors import InputError
+from hamsym.integrators.automatic_steps import AIM
 from hamsym.integrators.coefficients import Doubled
 from hamsym.integrators.energy_drift import EnergyDrift
 from hamsym.integrators.hidden_features import Path, hidden_features
@@ -69,8 +70,6 @@ class Setting:
     size: float
     steps: int
     limit: int | None
-    #: Part of the sizes of the components that features between the steps may change.
-    share: float
 
 
 class Crossings:
@@ -157,7 +156,8 @@ class Crossings:
         if features is None or not math.isnan(self.doubts.hidden):
             return math.nan
 
-        share = self._setting.share / self._setting.steps * (len(times) - 1)
+        # What the steps pass over may hide crossings inside it, whatever the steps may change.
+        share = AIM / self._setting.steps * (len(times) - 1)
         found = features.passed(Path(path, times), values, share)
         return (
             math.nan if np.isnan(found).all() else float(found[np.nanargmin(abs(found - times[0]))])

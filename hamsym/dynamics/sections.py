@@ -248,8 +248,9 @@ def section(
     -------
     Section
         With ``success=False`` and a message if a trajectory ends early, has too few crossings,
-        leaves the domain of the surface, H drifts by more than 1 % of its scale, the force has a
-        feature, for example a pulse, that the steps pass over, or ``prove`` fails.
+        leaves the domain of the surface, H drifts by more than 1 % of its scale, ``prove`` fails,
+        or the force has a feature, for example a pulse, that the steps pass over and that changes
+        more than 1e-9 of a component: crossings inside it are missed.
 
     Warns
     -----
@@ -291,8 +292,7 @@ def section(
         if not choice.met and not choice.run.interrupted:
             advice = f"steps were chosen for {AIM:.0e}, {choice.found:.1e} was reached"
     size = (end - start) / steps
-    share = max(AIM, min(choice.found, COARSE)) if chosen else COARSE
-    setting = Setting(method, surface, where, direction, start, size, steps, crossings, share)
+    setting = Setting(method, surface, where, direction, start, size, steps, crossings)
     run = Crossings(members, setting)
     run.advance_all(progress)
     t, z, trajectory = run.ordered()

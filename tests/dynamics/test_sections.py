@@ -603,3 +603,15 @@ def test_numpy_numbers_are_accepted() -> None:
         hamsym.section(problem.H, problem.z0, (0, 50), "x = 0", direction="up")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="would take .* steps; give a larger one"):
         hamsym.section(problem.H, problem.z0, (0, 50), "x = 0", dt=1e-300)
+
+
+@pytest.mark.parametrize(("method", "steps"), [("blanes_moan6", None), (None, 2_000)])
+def test_given_steps_do_not_pass_over_crossings_inside_a_spike(
+    method: str | None, steps: int | None
+) -> None:
+    """Four crossings are inside the spike, which changes the motion after it by 1e-10."""
+    H = "p**2/2 + x**2/2 + 1e-4*exp(-((x - 0.3)/1e-6)**2)"
+    surface = "p**2 + x**2 = 0.9999"
+    found = hamsym.section(H, [1, 0], (0, 6), surface, method=method, steps=steps)
+    assert not found.success
+    assert "feature" in found.message
