@@ -259,10 +259,18 @@ def test_invalid_pairs_are_rejected(arguments: dict[str, object], message: str) 
         Hamiltonian("p**2 + x**2", **arguments)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), "one", None, 1j])
+@pytest.mark.parametrize(
+    "value", [float("nan"), float("inf"), "one", None, 1j, pytest.param(10**5000, id="huge")]
+)
 def test_invalid_parameter_values_are_rejected(value: object) -> None:
     with pytest.raises(ParameterError, match="'k' has the value"):
         Hamiltonian("p**2 + k*x**2", parameters={"k": value})  # type: ignore[dict-item]
+
+
+@pytest.mark.parametrize("options", [{"q": 3, "p": "p"}, {"parameters": 3}, {"forces": 3}])
+def test_numbers_in_place_of_names_are_rejected(options: dict) -> None:
+    with pytest.raises(InputError, match="=3 (is not a mapping|cannot be used)"):
+        Hamiltonian("p**2 + x**2", **options)
 
 
 def test_unknown_and_missing_parameters() -> None:
@@ -476,6 +484,7 @@ def test_unreachable_members_are_counted_or_nan() -> None:
         ([0.1, np.inf], {}, "energy contains a value that is not a finite number"),
         ([0.1, 0.2, 0.3], {}, r"have shapes \(2,\), \(3,\), \(\), which do not broadcast"),
         (0.1, {"missing": "none"}, "missing='none' cannot be used"),
+        (0.1, {"z0": 3}, "z0=3 is not a mapping"),
         (0.1, {"parameters": {"q": 1.0}}, "'q' is not a parameter of H; it has none"),
     ],
 )
@@ -483,7 +492,9 @@ def test_unusable_arrays_of_energies_are_rejected(
     energy: object, options: dict, message: str
 ) -> None:
     with pytest.raises(InputError, match=message):
-        Hamiltonian("p**2/2 + x**2/2").state_at_energy(energy, {"x": [0.1, 0.2]}, **options)
+        Hamiltonian("p**2/2 + x**2/2").state_at_energy(
+            energy, **{"z0": {"x": [0.1, 0.2]}} | options
+        )
 
 
 def test_discontinuous_steps_are_rejected() -> None:

@@ -11,7 +11,7 @@ from hamsym.codegen.generate import generate
 from hamsym.codegen.system import load
 from hamsym.errors import InputError, VariableError
 from hamsym.formula.parser import canonical_name
-from hamsym.support.validation import require_number
+from hamsym.support.validation import checked_mapping, require_number
 from hamsym.symbolic.checks import name_of
 from hamsym.symbolic.equations import Equations
 from hamsym.symbolic.states import states_array
@@ -37,6 +37,7 @@ def states_at_energy(
 
     names, dim = [symbol.name for symbol in equations.z], len(equations.z)
     system = load(generate(equations, "numpy"))
+    z0 = checked_mapping("z0", z0, f'{{"{names[0]}": 0.0}}')
     components = {canonical_name(name_of(name)) for name in z0}
     lacking = [name for name in names if canonical_name(name) not in components]
     if len(lacking) != 1:

@@ -17,6 +17,7 @@ from hamsym.codegen.functions import compile_observable
 from hamsym.errors import InputError
 from hamsym.formula.notation import Notation
 from hamsym.formula.parser import Written, canonical_name
+from hamsym.support.validation import shown
 from hamsym.symbolic import brackets
 from hamsym.symbolic.symbolic_hamiltonian import SymbolicHamiltonian
 from hamsym.symbolic.units import unit_of
@@ -56,14 +57,17 @@ class Observable:
         return compile_observable(self.function, self._H.real_equations)
 
     def __call__(self, z: Any, t: Any = 0.0, parameters: np.ndarray | None = None) -> np.ndarray:
-        return self._value(z, t, parameters)
+        try:
+            return self._value(z, t, parameters)
+        except ValueError as error:  # of generated functions, which know no errors of hamsym
+            raise InputError(str(error)) from None
 
     def values(self, z: Any, t: Any = 0.0, parameters: np.ndarray | None = None) -> np.ndarray:
         """Values for pictures and tables; of a formula nan where it is no finite number."""
         if self.place is not None:
-            return self._value(z, t, parameters)
+            return self(z, t, parameters)
         with np.errstate(all="ignore"):
-            found = self._value(z, t, parameters)
+            found = self(z, t, parameters)
         return np.where(np.isfinite(found), found, np.nan)
 
     @cached_property
@@ -108,7 +112,7 @@ def observable_of(H: SymbolicHamiltonian, f: Any) -> Observable:
     """
     if not isinstance(f, (str, sympy.Expr)):
         raise InputError(
-            f"{f!r} is neither a component nor a formula; give text in the names of H, for "
+            f"{shown(f)} is neither a component nor a formula; give text in the names of H, for "
             f"example '{H.names[0]}' or '{H.names[H.dof]}**2/2', or a sympy expression"
         )
     name = f.name if isinstance(f, sympy.Symbol) else f.strip() if isinstance(f, str) else ""

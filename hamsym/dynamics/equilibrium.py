@@ -19,6 +19,7 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof.arithmetic.ball import Ball
 from hamsym.support.shown import Drawn, Shown
 from hamsym.support.suggestions import suggest_attributes
+from hamsym.support.validation import require_whole
 
 if TYPE_CHECKING:
     import sympy
@@ -170,6 +171,7 @@ class Equilibrium(Drawn, Shown):
 
     def coordinates(self, digits: int = 10) -> list[str]:
         """Return the components as text, in closed form where a parameter has no value."""
+        require_whole("digits", digits, 1, 17)
         values = self.z if self.exact is None or self.linear is not None else list(self.exact)
         return [f"{v + 0.0:.{digits}g}" if isinstance(v, float) else str(v) for v in values]
 

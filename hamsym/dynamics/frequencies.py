@@ -29,7 +29,7 @@ from hamsym.integrators.trajectory import Trajectory
 from hamsym.solution.solution import Solution
 from hamsym.support.shown import Drawn, Shown
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
-from hamsym.support.validation import require_whole
+from hamsym.support.validation import checked_numbers, require_whole
 
 # Times at which a solution is evaluated: doubled until its spectrum ends before the highest
 # frequency of that many samples.
@@ -118,7 +118,7 @@ class Frequencies(Drawn, Shown):
         """
         if self.frequency.ndim != 2:
             raise InputError("these are the frequencies of several trajectories; take one")
-        times = np.asarray(t, dtype=float)[..., None, None]
+        times = checked_numbers("t", t)[..., None, None]
         with np.errstate(invalid="ignore"):
             terms = self.amplitude * np.exp(1j * (self.frequency * times + self.phase))
         return np.asarray(np.nansum(terms, axis=-1))
@@ -164,7 +164,7 @@ def frequencies(
     >>> bool(abs(found.frequency[0, 0] - exact) <= found.error[0, 0] < 1e-9)
     True
     """
-    require_whole("count", count)
+    require_whole("count", count, 1, _MOST)
     began = time.perf_counter()
     source = _source_of(result)
     names, dof = source.H.names, source.H.dof

@@ -42,7 +42,7 @@ from hamsym.proof.zeros.derivative_balls import DerivativeBalls
 from hamsym.proof.zeros.roots import enclosed_root
 from hamsym.support.shown import Shown
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
-from hamsym.support.validation import require_whole
+from hamsym.support.validation import checked_numbers, require, require_whole
 from hamsym.symbolic.derivatives import connected_blocks
 
 _BITS = 256
@@ -102,7 +102,7 @@ class NormalForm(Shown):
 
     def hamiltonian(self, actions: Any) -> np.ndarray:
         """Evaluate H at actions, shape (..., dof) -> (...)."""
-        values = np.asarray(actions, dtype=float)
+        values = self._rows("actions", actions, 1)
         found = np.full(values.shape[:-1], self.equilibrium.energy)
         for powers, ball in self.coefficients.items():
             found = found + ball.mid * np.prod(values ** np.array(powers), axis=-1)
@@ -113,7 +113,7 @@ class NormalForm(Shown):
 
         I_k = (Q_k^2 + P_k^2)/2 are the actions.
         """
-        values = np.asarray(normal, dtype=float)
+        values = self._rows("normal", normal, 2)
         half = values.shape[-1] // 2
         Q, P = values[..., :half], values[..., half:]
         both = np.concatenate([Q - 1j * P, P - 1j * Q], axis=-1) / np.sqrt(2)
@@ -124,10 +124,17 @@ class NormalForm(Shown):
 
     def to_normal(self, z: Any) -> np.ndarray:
         """Compute the normal coordinates (Q, P) of states, shape (..., dim) -> (..., dim)."""
-        apart = np.asarray(z, dtype=float) - self.equilibrium.z
+        apart = self._rows("z", z, 2) - self.equilibrium.z
         both = apart @ np.linalg.inv(self._basis).T
         x = self._back(both)
         return np.asarray(np.sqrt(2) * np.concatenate([x.real, -x.imag], axis=-1))
+
+    def _rows(self, name: str, values: Any, each: int) -> np.ndarray:
+        """Numbers in rows with as many for each degree of freedom."""
+        found, width = checked_numbers(name, values), each * len(self.frequencies.mid)
+        if found.shape[-1:] != (width,):
+            raise InputError(f"{name} has shape {found.shape}; give {width} numbers in each row")
+        return found
 
 
 @checked_keywords
@@ -141,6 +148,7 @@ def normal_form(equilibrium: Equilibrium, degree: int = 6) -> NormalForm:
     >>> found.formula, found.stable
     (0.375*I_1**2 + 1.0*I_1, True)
     """
+    require(isinstance(equilibrium, Equilibrium), "equilibrium", equilibrium, "an Equilibrium")
     H = equilibrium.H
     if H is None or H.time is not None:
         raise InputError("a normal form needs an equilibrium of a Hamiltonian without time")

@@ -21,6 +21,7 @@ from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.solution.solution import Solution
 from hamsym.support.atomic import write_file
 from hamsym.support.suggestions import checked_keywords
+from hamsym.support.validation import checked_mapping
 
 
 @dataclass(frozen=True)
@@ -182,6 +183,7 @@ def _export_lesson(
     from hamsym.workbench.lessons.lesson import lesson, with_values
     from hamsym.workbench.lessons.start import proposed_start
 
+    checked_mapping("parameters", parameters, '{"k": (0.5, 2)}')
     if isinstance(result, Solution):
         if z0 is not None or span is not None:
             raise InputError("z0 and span are those of the solution; leave them out, or give its H")

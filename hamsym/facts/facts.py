@@ -14,6 +14,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from hamsym.support.text_tables import ALL, ROWS, columns, table, wrapped
+from hamsym.support.validation import require_whole
 
 if TYPE_CHECKING:
     import numpy as np
@@ -112,6 +113,8 @@ class Table:
 
     def rows_of(self, rows: int | None) -> list[int]:
         """Return the rows that are shown if there may be at most so many."""
+        if rows is not None:
+            require_whole("rows", rows, 0)
         if rows is None or self.whole or len(self.names) <= rows:
             return list(range(len(self.names)))
         return list(range(rows)) if self.choose is None else list(self.choose(rows))

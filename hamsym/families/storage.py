@@ -160,10 +160,11 @@ class WindowStore:
     """
 
     def __init__(self, path: str | os.PathLike[str], family: Family, members: Ensemble) -> None:
-        self._path, self._family, self._members = Path(os.path.abspath(path)), family, members
+        self._family, self._members = family, members
         require_formula(path, family.H)
         request = _request(family, members)
         try:
+            self._path = Path(os.path.abspath(path))
             if self._path.exists():
                 text = (self._path / BEGUN).read_text("utf-8") if is_store(path) else "{}"
                 begun = json.loads(text)
@@ -180,7 +181,7 @@ class WindowStore:
                     (aside / BEGUN).write_text(json.dumps(begun), "utf-8")
 
                 create_atomically(self._path, fill)
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, TypeError) as error:
             reason = getattr(error, "strerror", None) or error
             raise FileError(f"'{path}' cannot be written: {reason}") from None
         self._token, self._changed = begun["token"], False

@@ -24,13 +24,13 @@ from hamsym.fitting.motions import LiftedMotions, MappedMotions, Motions, Solved
 from hamsym.fitting.observations import checked_observations, checked_times
 from hamsym.fitting.search import Found, Model, search
 from hamsym.fitting.uncertainty import Uncertainty, uncertainty_of
-from hamsym.fitting.unknowns import checked_unknowns
+from hamsym.fitting.unknowns import bound_ends, checked_unknowns
 from hamsym.fitting.verdicts import Verdicts, judged
 from hamsym.formula.parser import canonical_name
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.problems.problem import checked_span
 from hamsym.support.suggestions import checked_keywords
-from hamsym.support.validation import require, require_number, require_whole
+from hamsym.support.validation import checked_mapping, require, require_number, require_whole
 from hamsym.symbolic.checks import name_of
 
 if TYPE_CHECKING:
@@ -198,6 +198,7 @@ def _within(
     flow: FlowMap, H: Hamiltonian, free: Any, z0: Any, parameters: Any, bounds: Any
 ) -> tuple[Any, Any, Any]:
     """Return fixed components, fixed parameters and bounds, completed by those of a flow map."""
+    require(hasattr(flow, "inputs"), "flow", flow, "a FlowMap")
     if (H.expr, H.names, H.forces) != (flow.H.expr, flow.H.names, flow.H.forces):
         raise InputError(f"H is not that of the flow map, {flow.H.formulas}; give flow.H")
     given = [dict(part) if isinstance(part, Mapping) else part for part in (z0, parameters, bounds)]
@@ -205,25 +206,21 @@ def _within(
         if given[part] is None or isinstance(given[part], dict):
             own = {name: value for name, value in flow.fixed.items() if name in names}
             for name, value in (given[part] or {}).items():
-                if own.get(name, value) != value:
+                if not np.array_equal(own.get(name, value), value):
                     raise InputError(
                         f"'{name}' is {value!r}, but {own[name]!r} in the flow map; leave it out"
                     )
             given[part] = own | (given[part] or {})
     if isinstance(free, Mapping):
         known = {canonical_name(name): name for name in flow.inputs}
-        limits = dict(given[2]) if isinstance(given[2], dict) else {}
+        limits = dict(checked_mapping("bounds", bounds, '{"g": (0, None)}'))
         for key in free:
             name = known.get(canonical_name(name_of(key)))
             if name is None:
                 listed = ", ".join(flow.inputs)
                 raise InputError(f"'{name_of(key)}' does not vary in the flow map; free {listed}")
-            low, high = limits.pop(key, limits.pop(name, (None, None)))
-            ends = flow.box[name]
-            limits[name] = (
-                ends[0] if low is None else max(low, ends[0]),
-                ends[1] if high is None else min(high, ends[1]),
-            )
+            low, high = bound_ends(name, limits.pop(key, limits.pop(name, (None, None))))
+            limits[name] = max(low, flow.box[name][0]), min(high, flow.box[name][1])
         given[2] = limits
     return given[0], given[1], given[2]
 

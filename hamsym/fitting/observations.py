@@ -13,6 +13,7 @@ from hamsym.codegen.functions import compile_expressions
 from hamsym.codegen.names import Names
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.support.validation import checked_numbers, shown
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.brackets import phase_function
 from hamsym.symbolic.variables import TIME
@@ -101,7 +102,7 @@ def checked_times(t: Any, span: tuple[float, float]) -> np.ndarray:
     ------
     InputError
     """
-    times = _numbers("t", t)
+    times = checked_numbers("t", t)
     if times.ndim != 1 or not times.size:
         raise InputError(f"t has shape {times.shape}; give a list of times")
     if not np.isfinite(times).all():
@@ -127,7 +128,7 @@ def checked_observations(
     """
     if not isinstance(observations, Mapping) or not observations:
         raise InputError(
-            f"observations={_shown(observations)} is not a mapping of observables to data; give "
+            f"observations={shown(observations)} is not a mapping of observables to data; give "
             f'for example {{"{H.names[0]}": data}}'
         )
     names = (*H.names, *H.parameter_names, TIME)
@@ -167,7 +168,7 @@ def checked_observations(
 
 
 def _data(label: str, values: Any, t: np.ndarray) -> np.ndarray:
-    array = _numbers(f"data of '{label}'", values)
+    array = checked_numbers(f"data of '{label}'", values)
     if array.ndim not in (1, 2) or array.shape[-1] != len(t) or not array.size:
         raise InputError(
             f"data of '{label}' have shape {array.shape}; give one number for each of the "
@@ -179,7 +180,7 @@ def _data(label: str, values: Any, t: np.ndarray) -> np.ndarray:
 
 
 def _deviations(name: str, values: Any, shape: tuple[int, int]) -> np.ndarray:
-    array = _numbers(name, values)
+    array = checked_numbers(name, values)
     try:
         array = np.broadcast_to(array, shape)
     except ValueError:
@@ -190,21 +191,3 @@ def _deviations(name: str, values: Any, shape: tuple[int, int]) -> np.ndarray:
     if not ((array > 1e-140) & (array < 1e140)).all():
         raise InputError(f"{name} is not above 0 and finite everywhere; give standard deviations")
     return array
-
-
-def _numbers(name: str, values: Any) -> np.ndarray:
-    """Return real numbers as an array of floats."""
-    try:
-        array = np.asarray(values)
-        if array.dtype.kind not in "biuf":
-            array = np.asarray(values, dtype=object)
-            if any(isinstance(entry, (complex, np.complexfloating, str)) for entry in array.flat):
-                raise TypeError
-        return array.astype(float)
-    except (TypeError, ValueError, OverflowError, RuntimeError):
-        raise InputError(f"{name} has an entry that is not a real number; give numbers") from None
-
-
-def _shown(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 40 else text[:37] + "..."

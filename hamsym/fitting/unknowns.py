@@ -13,6 +13,7 @@ from hamsym.errors import InputError, ParameterError
 from hamsym.formula.parser import canonical_name
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.support.record_fields import floats
+from hamsym.support.validation import checked_mapping, shown
 from hamsym.symbolic.checks import name_of
 
 
@@ -105,7 +106,8 @@ def checked_unknowns(H: Hamiltonian, free: Any, z0: Any, parameters: Any, bounds
     if not guesses:
         raise InputError(f"free={free!r} names no quantity; give for example {example}")
     fixed = _by_name("z0", z0, state, f'{{"{H.names[0]}": 1.0}}')
-    values = _by_name("parameters", parameters, {n: known[n] for n in known if n not in state}, "")
+    own = {n: known[n] for n in known if n not in state}
+    values = _by_name("parameters", parameters, own, '{"k": 1.0}')
     for argument, given in (("z0", fixed), ("parameters", values)):
         if twice := [name for name in guesses if name in given]:
             raise InputError(
@@ -136,15 +138,8 @@ def checked_unknowns(H: Hamiltonian, free: Any, z0: Any, parameters: Any, bounds
 
 def _by_name(argument: str, given: Any, known: Mapping[str, str], example: str) -> dict[str, float]:
     """Return finite numbers by the names in H."""
-    if given is None:
-        return {}
-    if not isinstance(given, Mapping):
-        raise InputError(
-            f"{argument}={given!r} is not a mapping of names to numbers; give for example "
-            f"{example or 'k=1.0 as a mapping'}"
-        )
     found: dict[str, float] = {}
-    for key, value in given.items():
+    for key, value in checked_mapping(argument, given, example).items():
         name = known.get(canonical_name(name_of(key)))
         if name is None:
             listed = ", ".join(known.values()) or "none"
@@ -161,7 +156,7 @@ def _number(name: str, value: Any) -> float:
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not math.isfinite(number):
-        raise InputError(f"{name} is {value!r}; give a finite number")
+        raise InputError(f"{name} is {shown(value)}; give a finite number")
     return number
 
 
@@ -169,20 +164,14 @@ def _bounds(
     bounds: Any, guesses: Mapping[str, float], known: Mapping[str, str]
 ) -> tuple[np.ndarray, np.ndarray]:
     low, high = np.full(len(guesses), -np.inf), np.full(len(guesses), np.inf)
-    if bounds is not None and not isinstance(bounds, Mapping):
-        raise InputError(f'bounds={bounds!r} is not a mapping; give for example {{"g": (0, None)}}')
-    for key, pair in (bounds or {}).items():
+    for key, pair in checked_mapping("bounds", bounds, '{"g": (0, None)}').items():
         name = known.get(canonical_name(name_of(key)), "")
         if name not in guesses:
             raise InputError(
                 f"'{name_of(key)}' in bounds is not free; free are {', '.join(guesses)}"
             )
-        if not isinstance(pair, Sequence | np.ndarray) or isinstance(pair, str) or len(pair) != 2:
-            raise InputError(f"bounds of '{name}' are {pair!r}; give (low, high), or None for one")
         j = list(guesses).index(name)
-        for side, value in ((low, pair[0]), (high, pair[1])):
-            if value is not None and not _is_open(value, side[j]):
-                side[j] = _number(f"a bound of '{name}'", value)
+        low[j], high[j] = bound_ends(name, pair)
         if not low[j] < high[j]:
             raise InputError(f"bounds of '{name}' are {pair!r}; give the lower one first")
         if not low[j] <= guesses[name] <= high[j]:
@@ -191,6 +180,16 @@ def _bounds(
                 f"{pair!r}; give one inside them"
             )
     return low, high
+
+
+def bound_ends(name: str, pair: Any) -> list[float]:
+    """Return the bounds of a quantity, infinite for None; raise InputError unless they are two."""
+    if not isinstance(pair, Sequence | np.ndarray) or isinstance(pair, str) or len(pair) != 2:
+        raise InputError(f"bounds of '{name}' are {pair!r}; give (low, high), or None for one")
+    return [
+        end if value is None or _is_open(value, end) else _number(f"a bound of '{name}'", value)
+        for value, end in zip(pair, (-math.inf, math.inf), strict=True)
+    ]
 
 
 def _is_open(value: Any, end: float) -> bool:

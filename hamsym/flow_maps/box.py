@@ -21,6 +21,7 @@ from hamsym.formula.parser import canonical_name, parse_expression
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.support.record_fields import floats
 from hamsym.support.suggestions import did_you_mean, unknown
+from hamsym.support.validation import checked_mapping, checked_numbers
 from hamsym.symbolic.checks import name_of
 from hamsym.symbolic.equations import Equations
 
@@ -167,12 +168,13 @@ class Box:
                     f"'{name}' is given by the parameters, {self.expressions[name]}; leave it out "
                     "of z0"
                 )
-            if not np.all(np.asarray(plain(value), dtype=float) == self.fixed[name]):
+            if not np.all(checked_numbers(name, plain(value)) == self.fixed[name]):
                 raise VariableError(
                     f"'{name}' is {self.fixed[name]:g} for all starts of this map; leave it out of "
                     "z0, or build a map in which it varies"
                 )
-        own = {canonical_name(name_of(key)): value for key, value in (parameters or {}).items()}
+        values = checked_mapping("parameters", parameters, '{"k": 1.0}')
+        own = {canonical_name(name_of(key)): value for key, value in values.items()}
         for name in self.parameters:
             key = canonical_name(name)
             if key not in own:
@@ -199,7 +201,7 @@ class Box:
                     raise VariableError(unknown(name_of(key), names, "a component of z", "z0 has"))
                 found[name] = value
             return found
-        array = z0 if hasattr(z0, "detach") else np.asarray(z0, dtype=float)
+        array = z0 if hasattr(z0, "detach") else checked_numbers("z0", z0)
         if not array.ndim or array.shape[-1] != self.H.dim:
             raise VariableError(
                 f"z0 has shape {tuple(array.shape)}; its last axis must have the {self.H.dim} "
@@ -252,10 +254,6 @@ def checked_box(H: HamiltonianLike, z0: Any, parameters: Mapping[Any, Any] | Non
     array([[1.5, 0. ]])
     """
     H = Hamiltonian.of(H, bound=False)
-    if parameters is not None and not isinstance(parameters, Mapping):
-        raise InputError(
-            f'parameters={parameters!r} is not a mapping; give for example {{"k": (0.5, 2)}}'
-        )
     given = _by_component(z0, H.names)
     intervals: dict[str, tuple[float, float]] = {}
     fixed: dict[str, float] = {}
@@ -273,7 +271,7 @@ def checked_box(H: HamiltonianLike, z0: Any, parameters: Mapping[Any, Any] | Non
         for text in expressions.values()
         for symbol in parse_expression(text).free_symbols
     }
-    for key, value in (parameters or {}).items():
+    for key, value in checked_mapping("parameters", parameters, '{"k": (0.5, 2)}').items():
         name = own.get(canonical_name(name_of(key)), name_of(key))
         if canonical_name(name) not in own and canonical_name(name) not in used:
             listed = ", ".join(H.parameter_names) or "none"

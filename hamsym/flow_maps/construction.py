@@ -17,7 +17,7 @@ from hamsym.flow_maps.building import Builder, Built
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.flow_maps.judging import Judgement, judged
 from hamsym.hamiltonian import HamiltonianLike
-from hamsym.problems.problem import checked_span
+from hamsym.problems.problem import checked_atol, checked_span
 from hamsym.support.progress import share_progress
 from hamsym.support.suggestions import checked_keywords
 from hamsym.support.validation import require, require_whole
@@ -108,7 +108,7 @@ def flow_map(
     require_whole("points", points, 100)
     require_whole("seed", seed, 0)
     require_whole("max_solutions", max_solutions, 1)
-    absolute = np.broadcast_to(np.asarray(atol, dtype=float), box.H.dim)
+    absolute = np.broadcast_to(checked_atol(atol, box.H.dim), box.H.dim)
     with share_progress(progress, "flow map") as report:
         reached = 0.0
 

@@ -21,6 +21,7 @@ from hamsym.support.record_fields import AnyFloat, Count, Size, floats
 from hamsym.support.records import packed
 from hamsym.support.shown import Drawn, Saved
 from hamsym.support.suggestions import suggest_attributes
+from hamsym.support.validation import checked_numbers
 
 _QUERIES = 10_000  # for each core, from which on several are used
 _ROUND_OFF = 4e-16  # relative, of times at the ends of the span
@@ -234,14 +235,7 @@ class FlowMap(Drawn, Saved):
         self, t: Any, given: Mapping[str, Any], extrapolate: bool
     ) -> tuple[np.ndarray, np.ndarray, tuple[int, ...]]:
         """Return times, shape (n,), inputs, shape (n, d), and their shape as it was given."""
-        arrays = []
-        for name, value in {"t": t, **given}.items():
-            try:
-                arrays.append(np.asarray(value, dtype=float))
-            except (TypeError, ValueError):
-                raise InputError(
-                    f"'{name}' has an entry that is not a number; give numbers"
-                ) from None
+        arrays = [checked_numbers(f"'{name}'", value) for name, value in {"t": t, **given}.items()]
         try:
             times, *columns = np.broadcast_arrays(*arrays)
         except ValueError:

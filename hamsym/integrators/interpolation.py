@@ -17,6 +17,7 @@ from numpy.polynomial.polynomial import polyval
 from hamsym.errors import InputError
 from hamsym.numerics.scales import SMALLEST
 from hamsym.problems.ensemble import Ensemble
+from hamsym.support.validation import checked_numbers
 
 _ROUND_OFF = 4e-16  # relative, of times at the ends of the span
 _COARSEST = 0.01  # of the size of a component: errors above are refused
@@ -119,10 +120,7 @@ class Interpolant:
         return times, found, errors, limits
 
     def _checked(self, t: Any) -> np.ndarray:
-        try:
-            times = np.asarray(t, dtype=float)
-        except (TypeError, ValueError, OverflowError):
-            raise InputError("t has an entry that is not a number; give times") from None
+        times = checked_numbers("t", t)
         if times.ndim > 1:
             raise InputError(f"t has shape {times.shape}; give one time or a list of times")
         low, high = min(self._t[0], self._t[-1]), max(self._t[0], self._t[-1])

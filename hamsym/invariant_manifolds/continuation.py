@@ -19,7 +19,7 @@ from hamsym.orbits.family import orbit_family
 from hamsym.orbits.orbit import PeriodicOrbit
 from hamsym.problems.surface import parse_surface
 from hamsym.support.suggestions import checked_keywords
-from hamsym.support.validation import require_number, require_whole
+from hamsym.support.validation import require, require_number, require_whole
 
 _HALVINGS = 5  # of a step
 _TOL = 1e-9  # of which the local manifolds are a small share
@@ -63,6 +63,7 @@ def connection_family(
     InputError
         If the arguments do not fit the connection.
     """
+    require(isinstance(connection, Connection), "connection", connection, "a Connection")
     if not connection.success:
         raise InputError("the connection did not succeed; continue one that did")
     if (energy is None) == (parameter is None):

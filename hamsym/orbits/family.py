@@ -16,7 +16,7 @@ from hamsym.orbits.orbit import PeriodicOrbit
 from hamsym.support.progress import stepping_progress
 from hamsym.support.shown import Drawn, Saved
 from hamsym.support.suggestions import checked_keywords, did_you_mean, suggest_attributes
-from hamsym.support.validation import require_number, require_positive, require_whole
+from hamsym.support.validation import require, require_number, require_positive, require_whole
 
 
 @suggest_attributes
@@ -223,8 +223,7 @@ def orbit_family(
     >>> family.success, round(family[-1].energy, 9), round(family[-1].period, 6)
     (True, 2.0, 4.00431)
     """
-    if not isinstance(orbit, PeriodicOrbit):
-        raise InputError(f"orbit must be a PeriodicOrbit, not {type(orbit).__name__}")
+    require(isinstance(orbit, PeriodicOrbit), "orbit", orbit, "a PeriodicOrbit")
     if not orbit.success:
         raise InputError("the orbit did not succeed; find one first")
     given = [value for value in (energy, period, parameter) if value is not None]

@@ -39,7 +39,7 @@ from hamsym.solution.solution import Solution
 from hamsym.support.record_fields import AnyFloat, Limit, Size, floats
 from hamsym.support.shown import Drawn, Saved
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
-from hamsym.support.validation import require_number, require_positive
+from hamsym.support.validation import checked_numbers, require_number, require_positive
 
 if TYPE_CHECKING:
     from hamsym.solution.solution import Solution
@@ -160,10 +160,7 @@ class PeriodicOrbit(Drawn, Saved):
         >>> bool(np.allclose(orbit(3 * orbit.period), orbit.z0))
         True
         """
-        try:
-            times = np.asarray(t, dtype=float)
-        except (TypeError, ValueError, OverflowError):
-            times = np.array(math.nan)
+        times = checked_numbers("t", t)
         if times.ndim > 1 or not np.isfinite(times).all():
             raise InputError("t must be a number or a sequence of numbers")
         closing, period = self.problem.closing, self.period

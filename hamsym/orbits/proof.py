@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from flint import arb, arb_mat
 
+import hamsym
 from hamsym.errors import CertificationError
 from hamsym.orbits.arc import Problem
 from hamsym.orbits.certificate import OrbitCertificate, orbit_digest, statement_of
@@ -36,6 +37,7 @@ from hamsym.proof.arithmetic.float64_arithmetic import require_float64
 from hamsym.proof.arithmetic.functions import SingularityError
 from hamsym.proof.limits import Deadline
 from hamsym.support.suggestions import checked_keywords
+from hamsym.support.validation import require
 
 if TYPE_CHECKING:
     from hamsym.orbits.orbit import PeriodicOrbit
@@ -79,6 +81,7 @@ def prove_orbit(orbit: PeriodicOrbit, *, time_limit: float | None = None) -> Orb
     (True, True)
     """
     require_float64()
+    require(isinstance(orbit, hamsym.PeriodicOrbit), "orbit", orbit, "a PeriodicOrbit")
     if not orbit.success:
         raise CertificationError(f"the orbit did not succeed: {orbit.message}")
     arc = orbit.arc

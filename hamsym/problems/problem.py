@@ -12,7 +12,7 @@ import numpy as np
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
-from hamsym.support.validation import require_positive, require_whole
+from hamsym.support.validation import require, require_positive, require_whole, shown
 from hamsym.symbolic.switching import switch_times
 
 MAX_STEPS = 2**53
@@ -112,13 +112,13 @@ def checked_span(span: tuple[float, float]) -> tuple[float, float]:
     try:
         start, end = (float(value) for value in span)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"span={span!r} is not a pair of times; give (t_start, t_end)") from None
+        raise InputError(
+            f"span={shown(span)} is not a pair of times; give (t_start, t_end)"
+        ) from None
     # A division by a shorter span would overflow.
     distinct = 1e-300 < abs(end - start) < math.inf
-    if not (math.isfinite(start) and math.isfinite(end)) or not distinct:
-        raise InputError(
-            f"span={span!r} cannot be used; give two finite times, from 1e-300 to 1e308 apart"
-        )
+    finite = math.isfinite(start) and math.isfinite(end) and distinct
+    require(finite, "span", span, "two finite times, from 1e-300 to 1e308 apart")
     return start, end
 
 
@@ -154,10 +154,8 @@ def checked_tol(tol: Any) -> float:
 
     Raise InputError if it is not a number from 1e-12 to below 1.
     """
-    if not (isinstance(tol, (int, float, np.floating)) and SMALLEST_TOL <= tol < 1):
-        raise InputError(
-            f"tol={tol!r} cannot be used; give a number from {SMALLEST_TOL:g} to below 1"
-        )
+    number = isinstance(tol, (int, float, np.floating)) and SMALLEST_TOL <= tol < 1
+    require(bool(number), "tol", tol, f"a number from {SMALLEST_TOL:g} to below 1")
     return float(tol)
 
 
@@ -165,11 +163,11 @@ def checked_atol(atol: float | Sequence[float], dim: int) -> tuple[float, ...]:
     """Return absolute tolerances, one or one for each of ``dim`` components."""
     try:
         values = np.atleast_1d(np.asarray(atol, dtype=float))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         values = np.array([math.nan])
     found = tuple(values.tolist())
-    if values.shape not in ((1,), (dim,)) or not all(0 <= value < math.inf for value in found):
-        raise InputError(f"atol={atol!r} cannot be used; give a number from 0, or a list of {dim}")
+    valid = values.shape in ((1,), (dim,)) and all(0 <= value < math.inf for value in found)
+    require(valid, "atol", atol, f"a number from 0, or a list of {dim}")
     return found
 
 
@@ -194,9 +192,9 @@ def checked_breakpoints(
     """Return the breakpoints in the direction of the span, without repetitions."""
     try:
         times = sorted({float(stop) for stop in breakpoints})
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(
-            f"breakpoints={breakpoints!r} is not a list of times; give a list of numbers"
+            f"breakpoints={shown(breakpoints)} is not a list of times; give a list of numbers"
         ) from None
     for stop in times:
         if not min(span) < stop < max(span):

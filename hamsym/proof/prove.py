@@ -109,6 +109,7 @@ def certify(
         return certify_box(solution, time_limit=time_limit, **options)
     if options:
         raise InputError(f"'{min(options)}' is not an option for a solution; leave it out")
+    require(isinstance(solution, Solution), "solution", solution, "a Solution or a FlowMap")
     require_number("rtol", rtol, LEAST_RTOL)
     require(rtol <= MOST_RTOL, "rtol", rtol, "a number such as 0.02")
     asked = None if bound is None else _asked(bound, solution.H.names)

@@ -30,6 +30,7 @@ import scipy
 from hamsym.numerics.roots import refine, sign_changes
 from hamsym.numerics.symplectic import generators
 from hamsym.solution.error_equation import integrated_error
+from hamsym.support.validation import checked_numbers
 
 if TYPE_CHECKING:
     from hamsym.solution.solution import Solution
@@ -94,7 +95,7 @@ class Analysis:
         The matrix is symmetric: its singular values are their magnitudes. They are NaN where it
         is not finite.
         """
-        matrices = self.solution.hessians(np.asarray(t, float))
+        matrices = self.solution.hessians(checked_numbers("t", t))
         finite = np.isfinite(matrices).all(axis=(-2, -1))
         values = np.linalg.eigvalsh(np.where(finite[..., None, None], matrices, 0.0))
         return np.where(finite[..., None], values, np.nan)
@@ -172,7 +173,7 @@ class Analysis:
 
     def linearized_error(self, t: np.ndarray) -> np.ndarray:
         """Integrate eq. (ell) from zero to z - z^, shape (n, dim); NaN after a failure."""
-        times = np.asarray(t, dtype=float)
+        times = checked_numbers("t", t)
         estimate = self.solution.error
         if estimate is not None:  # the solution of this equation
             return estimate(times)
@@ -190,7 +191,7 @@ class Analysis:
         the rate of the linearised error at t, and bounds the 2-norm of that error. It is infinite
         if sigma_min is zero or nan.
         """
-        times = np.asarray(t, dtype=float)
+        times = checked_numbers("t", t)
         if not self.sigma_min > 0:
             return np.full(times.shape, math.inf)
         hessians = self.solution.hessians(times)

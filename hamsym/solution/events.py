@@ -55,8 +55,8 @@ class Events(NamedTuple):
 def find_events(solution: Solution, events: Event | Sequence[Event], times: np.ndarray) -> Events:
     """Find the zeros of the events along a solution, between the given times."""
     one = isinstance(events, (str, sympy.Basic)) or callable(events)
-    if not one and not isinstance(events, Iterable):
-        raise InputError(f"events={events!r} cannot be used; give a formula or a function, or some")
+    valid = one or isinstance(events, Iterable)
+    require(valid, "events", events, "a formula or a function, or some")
     listed: list[Any] = [events] if one else list(events)  # type: ignore[arg-type]
     found = [_zeros(solution, event, times) for event in listed]
     backward = solution.span[1] < solution.span[0]

@@ -21,10 +21,7 @@ def parameter_names(H: Hamiltonian, parameters: Any) -> tuple[str, ...]:
 
     Raise InputError if none is given. Raise ParameterError if one is not a parameter of H.
     """
-    try:
-        given = [name_of(entry) for entry in as_list(parameters)]
-    except TypeError:
-        given = []
+    given = [name_of(entry) for entry in as_list(parameters, "parameters")]
     if not given:
         raise InputError(
             f"parameters={parameters!r} names no parameter; give for example "

@@ -33,6 +33,7 @@ from hamsym.support.record_fields import UNSAVED, Size, floats
 from hamsym.support.shown import Saved
 from hamsym.support.suggestions import suggest_attributes
 from hamsym.support.tables import data_frame, data_set, time_name
+from hamsym.support.validation import checked_numbers
 
 if TYPE_CHECKING:  # torch and matplotlib are imported only where they are used
     import pandas
@@ -325,7 +326,7 @@ class Solution(Saved):
         :meth:`work`.
         """
         start = float(self.energy(self.span[0]))
-        change = self.energy(np.asarray(t, dtype=float)) - start
+        change = self.energy(checked_numbers("t", t)) - start
         return change if self.H.conserves_energy else change - self.work(t)
 
     @cached_property

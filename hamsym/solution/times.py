@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hamsym.errors import InputError
+from hamsym.support.validation import checked_numbers
 
 if TYPE_CHECKING:  # torch is imported only by callers that have tensors
     from torch import Tensor
@@ -42,10 +43,7 @@ def times_in_span(t: Any, span: tuple[float, float], *, extrapolate: bool = Fals
         t = t.detach().cpu().numpy()
         if t.dtype == np.float32:  # which rounds the ends of the span
             precision = float(np.finfo(np.float32).eps)
-    try:
-        times = np.asarray(t, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError("t has an entry that is not a number; give times") from None
+    times = checked_numbers("t", t)
     if times.ndim > 1 or times.size == 0:
         raise InputError(f"t has shape {times.shape}; give one time or a list of times")
     low, high = min(span), max(span)

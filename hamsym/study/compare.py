@@ -20,7 +20,8 @@ from hamsym.study.references import SAMPLES, ReferenceSolution, largest, referen
 from hamsym.support.shown import Drawn, Shown
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.tables import data_frame
-from hamsym.support.validation import require_whole
+from hamsym.support.validation import checked_numbers, require_whole
+from hamsym.symbolic.checks import as_list
 
 if TYPE_CHECKING:
     import pandas
@@ -278,7 +279,7 @@ def chosen_methods(H: Hamiltonian, methods: str | Sequence[str]) -> list[str]:
     ['implicit_midpoint', 'gauss6', 'dop853']
     """
     names: list[str] = []
-    for method in [methods] if isinstance(methods, str) else methods:
+    for method in as_list(methods, "methods"):
         if isinstance(method, str) and method == "usual":
             low = "stormer_verlet" if H.is_separable else "implicit_midpoint"
             names += [low, usual_method(H), "dop853"]
@@ -320,7 +321,9 @@ def _row(
     seconds: float,
 ) -> Row:
     """Return the errors of states z at times t."""
-    system, right = solution.H.compile("numpy"), truth(t)
+    system, right = solution.H.compile("numpy"), checked_numbers("the exact solution", truth(t))
+    if right.shape != z.shape:
+        raise InputError(f"the exact solution has shape {right.shape}; give states, {z.shape}")
     with np.errstate(all="ignore"):  # steps that are far too long leave the domain of H
         energy_error = largest(np.abs(system.at("energy", z, t) - system.at("energy", right, t)))
     reached = t[-1] == solution.span[1]

@@ -23,6 +23,7 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.adaptive import reference
 from hamsym.numerics.collocation import chebyshev_values
 from hamsym.proof.windows.enclose import Enclosure, enclose
+from hamsym.support.validation import require
 
 SAMPLES = 4_000  # largest number of intervals at whose ends errors are measured
 _BETTER = 0.01  # the error of a good reference, in units of the error to be judged
@@ -58,6 +59,7 @@ class ReferenceSolution:
     @classmethod
     def exact(cls, states: Callable[[np.ndarray], np.ndarray]) -> ReferenceSolution:
         """Return an exact solution as a reference."""
+        require(callable(states), "exact", states, "a function of times")
         return cls(states, 0.0, "the exact solution")
 
 

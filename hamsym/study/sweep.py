@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,14 +22,16 @@ from hamsym.problems.problem import InitialValueProblem
 from hamsym.solution.solution import Solution
 from hamsym.study.compare import Row, measure
 from hamsym.study.processes import carry_out
+from hamsym.study.references import ReferenceSolution
 from hamsym.study.runs import Run, arguments_of, planned_run
 from hamsym.support.locking import exclusive
 from hamsym.support.machine import available_cores
 from hamsym.support.method_object import Method
 from hamsym.support.shown import Drawn, Shown
-from hamsym.support.suggestions import checked_keywords, suggest_attributes
+from hamsym.support.suggestions import checked_keywords, require_known, suggest_attributes
 from hamsym.support.tables import data_frame
-from hamsym.support.validation import plain, require_whole
+from hamsym.support.tensor_files import one_line
+from hamsym.support.validation import checked_mapping, plain, require, require_whole
 
 if TYPE_CHECKING:  # an optional package
     import pandas
@@ -175,12 +177,13 @@ class Sweep(Drawn, Shown):
 
         Of an even number, the lower of the two medians is taken.
         """
+        require_known(name, self.solutions, "a name of settings")
         errors = [self._row(solution, truth, name).error for solution in self.solutions[name]]
         order = sorted(range(len(errors)), key=errors.__getitem__)
         return self.solutions[name][order[(len(order) - 1) // 2]]
 
     def _row(self, solution: Solution, truth: Callable[[np.ndarray], np.ndarray], name: str) -> Row:
-        row = measure(solution, truth, name)
+        row = measure(solution, ReferenceSolution.exact(truth), name)
         if solution.span != self.span:
             row = replace(row, error=math.inf, energy_error=math.inf)
         return row
@@ -244,10 +247,14 @@ def sweep(
     >>> all(row.error < 1e-6 for row in found.rows(exact)["1e-6"])
     True
     """
-    chosen = tuple(range(seeds)) if isinstance(seeds, int) else tuple(seeds)
+    if not isinstance(seeds, Iterable):
+        require_whole("seeds", seeds, 1, 100_000)
+    chosen = tuple(seeds if isinstance(seeds, Iterable) else range(seeds))
     for seed in chosen:
         require_whole("seeds", seed, 0)
-    if not settings or not chosen or len(set(chosen)) < len(chosen):
+    names = [*checked_mapping("settings", settings, '{"1e-6": {"tol": 1e-6}}')]
+    require(all(isinstance(name, str) for name in names), "settings", names, "names as text")
+    if not names or not chosen or len(set(chosen)) < len(chosen):
         raise InputError("settings or seeds is empty or repeats an entry; give each once")
     if workers is not None:
         require_whole("workers", workers)
@@ -300,4 +307,11 @@ def _values(settings: Mapping[str, Settings], seed: int) -> dict[str, dict[str, 
 
 
 def _of_seed(given: Any, seed: int) -> Any:
-    return given(seed) if callable(given) and not isinstance(given, type) else given
+    if not callable(given) or isinstance(given, type):
+        return given
+    try:
+        return given(seed)
+    except Exception as error:  # whatever the user's own code raises
+        raise InputError(
+            f"the settings of seed {seed} cannot be made: {one_line(error)}; mend their function"
+        ) from error

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,16 @@ from hamsym.errors import InputError
 def require(valid: bool, name: str, value: object, expected: str) -> None:
     """Raise InputError unless an argument is valid."""
     if not valid:
-        raise InputError(f"{name}={value!r} cannot be used; give {expected}")
+        raise InputError(f"{name}={shown(value)} cannot be used; give {expected}")
+
+
+def shown(value: object) -> str:
+    """Return a value as text of at most 60 characters for a message."""
+    try:
+        text = repr(value)
+    except Exception:  # Python refuses to write integers of more than 4,300 digits
+        return f"<{type(value).__name__}>"
+    return text if len(text) <= 60 else text[:57] + "..."
 
 
 def require_whole(name: str, value: object, least: int = 1, most: int = 2**63 - 1) -> None:
@@ -30,6 +39,26 @@ def require_number(name: str, value: object, least: float = -math.inf) -> None:
     """Raise InputError unless a value is a finite number from ``least``."""
     number = _is_finite(value) and value >= least  # type: ignore[operator]
     require(number, name, value, "a number" if least == -math.inf else f"a number from {least:g}")
+
+
+def checked_mapping(name: str, value: Any, example: str) -> Mapping[Any, Any]:
+    """Return a mapping, an empty one for None; raise InputError if a value is something else."""
+    if not isinstance(value, Mapping | None):
+        raise InputError(f"{name}={shown(value)} is not a mapping; give for example {example}")
+    return {} if value is None else value
+
+
+def checked_numbers(name: str, values: Any) -> np.ndarray:
+    """Return real numbers as an array of floats; raise InputError if an entry is none."""
+    try:
+        array = np.asarray(values)
+        if array.dtype.kind not in "biuf":
+            array = np.asarray(values, dtype=object)
+            if any(isinstance(entry, (complex, np.complexfloating, str)) for entry in array.flat):
+                raise TypeError
+        return array.astype(float, copy=False)
+    except (TypeError, ValueError, OverflowError, RuntimeError):  # the last from a tensor of torch
+        raise InputError(f"{name} has an entry that is not a real number; give numbers") from None
 
 
 def require_widths(hidden: object) -> None:

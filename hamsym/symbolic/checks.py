@@ -18,13 +18,15 @@ from sympy.matrices.expressions.matexpr import MatrixElement
 from hamsym.errors import InputError, ParameterError, VariableError
 from hamsym.formula.parser import canonical_name, check_name
 from hamsym.support.suggestions import did_you_mean
+from hamsym.support.validation import checked_mapping, require, shown
 from hamsym.symbolic.pairing import natural_order
 
 
-def as_list(symbols: Sequence[str | sympy.Symbol]) -> list[str | sympy.Symbol]:
-    """Names or symbols as a list; a single one becomes a list of one."""
+def as_list(symbols: Any, name: str) -> list[Any]:
+    """Names or symbols of an argument as a list; a single one becomes a list of one."""
     if isinstance(symbols, (str, sympy.Expr)):
         symbols = [symbols]
+    require(isinstance(symbols, Iterable), name, symbols, "a name or a list of names")
     return list(symbols)
 
 
@@ -102,7 +104,7 @@ def checked_expression(expression: object, kind: str = "a Hamiltonian") -> sympy
 
 
 def checked_values(
-    parameters: Mapping[Any, float], symbols: Mapping[str, sympy.Symbol], of: str = "H"
+    parameters: Mapping[Any, float] | None, symbols: Mapping[str, sympy.Symbol], of: str = "H"
 ) -> dict[str, float]:
     """Return parameter values by the names in H (or ``of``), in natural order.
 
@@ -110,7 +112,7 @@ def checked_values(
     """
     spelled = {canonical_name(name): name for name in symbols}
     values = {}
-    for key, value in parameters.items():
+    for key, value in checked_mapping("parameters", parameters, '{"k": 2.0}').items():
         name = spelled.get(canonical_name(name_of(key)))
         if name is None:
             listed = ", ".join(sorted(symbols)) or "no symbols"
@@ -120,10 +122,12 @@ def checked_values(
             )
         try:
             number = float(value)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             number = math.nan
         if not math.isfinite(number):
-            raise ParameterError(f"'{name}' has the value {value!r}; give a finite real number")
+            raise ParameterError(
+                f"'{name}' has the value {shown(value)}; give a finite real number"
+            )
         values[name] = number
     return dict(sorted(values.items(), key=lambda item: natural_order(item[0])))
 

@@ -180,24 +180,24 @@ def read_lagrangian(
     own, functions = _plain_symbols(expression)
     expr, written = parse_written(own) if text else (checked_expression(own, "a Lagrangian"), {})
     symbols = by_name(expr.free_symbols)
-    values = checked_values(parameters or {}, symbols, "L")
+    values = checked_values(parameters, symbols, "L")
     if (q is None) != (velocities is None) and not functions:
         given, missing = ("q", "velocities") if velocities is None else ("velocities", "q")
         raise VariableError(f"{given} is given without {missing}; give both or neither")
     if functions:
         if q is not None:
-            functions = _ordered_as(as_list(q), functions)
+            functions = _ordered_as(as_list(q, "q"), functions)
         q, velocities = functions, [f"{name}dot" for name in functions]
     elif q is None or velocities is None:
         pairs = find_velocities(sorted(symbols.keys() - values.keys() - {TIME}))
         q, velocities = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
     real = text or bool(functions)
-    coordinates = [state_symbol(item, symbols, real) for item in as_list(q)]
-    rates = [state_symbol(item, symbols, real) for item in as_list(velocities)]
+    coordinates = [state_symbol(item, symbols, real) for item in as_list(q, "q")]
+    rates = [state_symbol(item, symbols, real) for item in as_list(velocities, "velocities")]
     if p is None:
         momenta = [state_symbol(f"p_{symbol.name}", {}, True) for symbol in coordinates]
     else:
-        momenta = [state_symbol(item, {}, real) for item in as_list(p)]
+        momenta = [state_symbol(item, {}, real) for item in as_list(p, "p")]
     _check_roles(coordinates, rates, momenta, symbols, values)
     absent = [symbol.name for symbol in rates if symbol not in expr.free_symbols]
     if absent:

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from hamsym.errors import InputError, ParameterError, VariableError
+from hamsym.errors import ParameterError, VariableError
 from hamsym.formula.parser import canonical_name
 from hamsym.support.suggestions import did_you_mean
+from hamsym.support.validation import checked_mapping
 from hamsym.symbolic.checks import name_of
 
 
@@ -83,13 +84,9 @@ def parameter_arrays(parameters: Mapping[Any, Any], names: Sequence[str]) -> dic
     Raise InputError if the argument is not a mapping. Raise ParameterError if a name is not among
     ``names``, or a value is empty or not finite.
     """
-    if not isinstance(parameters, Mapping):
-        raise InputError(
-            f'parameters={parameters!r} is not a mapping; give for example {{"k": [1.0, 2.0]}}'
-        )
     known = {canonical_name(name): name for name in names}
     found = {}
-    for key, value in parameters.items():
+    for key, value in checked_mapping("parameters", parameters, '{"k": [1.0, 2.0]}').items():
         name = known.get(canonical_name(name_of(key)))
         if name is None:
             listed = ", ".join(names) or "none"

@@ -16,6 +16,7 @@ import sympy
 
 from hamsym.errors import InputError, VariableError
 from hamsym.formula.parser import canonical_name, parse_expression
+from hamsym.support.validation import checked_mapping
 from hamsym.symbolic.checks import name_of
 
 #: Units by the names in texts; the values are names in sympy.physics.units.
@@ -133,13 +134,11 @@ def checked_units(
     >>> checked_units(units, p**2/(2*m) + k*x**2/2, [x], [p], "t")
     {'x': 'm', 'p': 'kg*m/s', 'm': 'kg', 'k': 'N/m', 't': 's'}
     """
-    if not isinstance(units, Mapping):
-        raise InputError(f'units={units!r} is not a mapping; give for example {{"x": "m"}}')
     symbols = {*expr.free_symbols, *q, *p}
     spelled = {canonical_name(symbol.name): symbol.name for symbol in symbols} | {time: time}
     given: dict[str, str] = {}
     known: dict[str, sympy.Expr] = {}
-    for key, text in units.items():
+    for key, text in checked_mapping("units", units, '{"x": "m"}').items():
         name = spelled.get(canonical_name(name_of(key)))
         if name is None:
             listed = ", ".join(sorted(spelled.values()))

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 
 import sympy
 
-from hamsym.errors import InputError, VariableError
+from hamsym.errors import VariableError
 from hamsym.formula.parser import Written, canonical_name, parse_expression, parse_written
+from hamsym.support.validation import checked_mapping
 from hamsym.symbolic.checks import (
     as_list,
     by_name,
@@ -69,14 +70,14 @@ def assign_variables(
     named = _named_forces(forces, symbols)
     own = {*symbols, *named}
     symbols = by_name({*symbols.values(), *free_symbols(named.values())})
-    values = checked_values(parameters or {}, symbols)
+    values = checked_values(parameters, symbols)
     if (q is None) != (p is None):
         given, missing = ("q", "p") if p is None else ("p", "q")
         raise VariableError(f"{given} is given without {missing}; give both or neither")
     if q is None or p is None:
         pairs = _pairs(own - values.keys() - {TIME}, symbols.keys() - values.keys() - {TIME})
         q, p = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
-    coordinates, momenta = as_list(q), as_list(p)
+    coordinates, momenta = as_list(q, "q"), as_list(p, "p")
     state = tuple(state_symbol(item, symbols, text) for item in (*coordinates, *momenta))
     half = len(coordinates)
     check_state(state, half, values)
@@ -100,16 +101,9 @@ def _named_forces(
     forces: Mapping[Any, Any] | None, symbols: Mapping[str, sympy.Symbol]
 ) -> dict[str, sympy.Expr]:
     """Forces as expressions by the given names, in the symbols of H where H has their names."""
-    if forces is None:
-        return {}
-    if not isinstance(forces, Mapping):
-        raise InputError(
-            f"forces={forces!r} is not a mapping of momenta to forces; give for example "
-            '{"p": "-c*p"}'
-        )
     known = {canonical_name(name): symbol for name, symbol in symbols.items()}
     found: dict[str, sympy.Expr] = {}
-    for key, given in forces.items():
+    for key, given in checked_mapping("forces", forces, '{"p": "-c*p"}').items():
         if name_of(key) in found:
             raise VariableError(_TWICE.format(name_of(key)))
         if isinstance(given, str):

@@ -15,7 +15,7 @@ import numpy as np
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.support.suggestions import did_you_mean, suggest_attributes
-from hamsym.support.validation import require_positive
+from hamsym.support.validation import require_number, require_positive
 
 
 @dataclass(frozen=True)
@@ -122,11 +122,14 @@ def listed(function: Callable[..., Problem]) -> Callable[..., Problem]:
     """Add a function to the catalogue; its problems of usual arguments get their references."""
     signature = inspect.signature(function)
     usual = {name: each.default for name, each in signature.parameters.items() if name != "start"}
+    floats = {name for name, each in signature.parameters.items() if each.annotation == "float"}
 
     @functools.wraps(function)
     def made(*arguments: Any, **options: Any) -> Problem:
+        given = dict(zip(signature.parameters, arguments, strict=False)) | options
+        for name in floats & given.keys():
+            require_number(name, given[name])
         problem = function(*arguments, **options)
-        given = signature.bind(*arguments, **options).arguments
         if any(given.get(name, value) != value for name, value in usual.items()):
             return problem
         return _with_reference(function.__name__, problem)

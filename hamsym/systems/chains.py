@@ -32,18 +32,19 @@ def _chain_motion(
     """Solve q_i'' = -local q_i + coupling (q_i+1 - 2 q_i + q_i-1), ends fixed, from rest.
 
     The modes are sin(pi i k/(n+1)), of frequencies local + 4 coupling sin(pi k/(2n+2))^2, squared.
+    Those of unstable modes are imaginary.
     """
     n = len(start)
     k = np.arange(1, n + 1)
     modes = math.sqrt(2 / (n + 1)) * np.sin(math.pi * np.outer(k, k) / (n + 1))
-    frequencies = np.sqrt(local + 4 * coupling * np.sin(math.pi * k / (2 * n + 2)) ** 2)
+    frequencies = np.emath.sqrt(local + 4 * coupling * np.sin(math.pi * k / (2 * n + 2)) ** 2)
     amplitudes = modes @ start
 
     def exact(t: np.ndarray) -> np.ndarray:
         phase = np.multiply.outer(np.asarray(t), frequencies)
         q = (amplitudes * np.cos(phase)) @ modes
         p = (-amplitudes * frequencies * np.sin(phase)) @ modes
-        return np.concatenate((q, p), axis=-1)
+        return np.concatenate((q, p), axis=-1).real
 
     return exact
 

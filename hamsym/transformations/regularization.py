@@ -33,8 +33,8 @@ from hamsym.errors import InputError, VariableError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.support.shown import Shown
 from hamsym.support.suggestions import checked_keywords, require_known, suggest_attributes
-from hamsym.support.validation import require_number
-from hamsym.symbolic.checks import name_of
+from hamsym.support.validation import checked_mapping, require_number
+from hamsym.symbolic.checks import as_list, name_of
 from hamsym.symbolic.variables import TIME
 from hamsym.transformations.bodies import Bodies, without_collisions
 from hamsym.transformations.canonical_maps import OldVariables, by_powers, limited
@@ -242,7 +242,7 @@ def _moved(H: Hamiltonian, coordinates: Sequence[str] | None, count: int) -> lis
     own = H.names[: H.dof]
     if coordinates is None and H.dof == count:
         return list(own)
-    found = [] if coordinates is None else [name_of(name) for name in coordinates]
+    found = [] if coordinates is None else [*map(name_of, as_list(coordinates, "coordinates"))]
     unknown = [name for name in found if name not in own]
     if unknown or len({*found}) != count:
         raise VariableError(
@@ -254,10 +254,9 @@ def _moved(H: Hamiltonian, coordinates: Sequence[str] | None, count: int) -> lis
 
 def _place(H: Hamiltonian, about: Mapping[str, Any] | None, name: str) -> sympy.Expr:
     """A coordinate of the collision: a number or a formula of parameters."""
-    if not isinstance(about, Mapping | None):
-        raise InputError(f"about={about!r} is not a mapping; give for example {{'x': 1}}")
-    given = (about or {}).get(name, 0)
-    unknown = sorted({*map(str, about or ())} - {*H.names[: H.dof]})
+    places = checked_mapping("about", about, '{"x": 1}')
+    given = places.get(name, 0)
+    unknown = sorted({*map(str, places)} - {*H.names[: H.dof]})
     if unknown:
         raise VariableError(f"about= has '{unknown[0]}', which is no coordinate of H")
     expr = H.observable(given).function if isinstance(given, (str, sympy.Expr)) else None

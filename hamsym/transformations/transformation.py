@@ -20,7 +20,8 @@ from hamsym.formula.parser import canonical_name, check_name, parse_expression
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.support.shown import Shown
 from hamsym.support.suggestions import checked_keywords, did_you_mean, suggest_attributes
-from hamsym.symbolic.checks import checked_expression, name_of
+from hamsym.support.validation import checked_numbers, shown
+from hamsym.symbolic.checks import as_list, checked_expression, name_of
 from hamsym.symbolic.pairing import find_pairs, natural_order
 from hamsym.symbolic.variables import TIME
 from hamsym.transformations.canonical_maps import (
@@ -90,7 +91,7 @@ class Transformation(Shown):
         True
         """
         states = self.H.states_from(z)
-        times = np.broadcast_to(np.asarray(t, dtype=float), states.shape[:-1])
+        times = _times(t, states.shape[:-1])
         return self._values(states, times)
 
     def to_new(self, z: Any, t: Any = 0.0, near: Any = None) -> np.ndarray:
@@ -115,7 +116,7 @@ class Transformation(Shown):
         """
         states = self.original.states_from(z)
         rows = np.atleast_2d(states)
-        times = np.broadcast_to(np.asarray(t, dtype=float), rows.shape[:1])
+        times = _times(t, rows.shape[:1])
         last = None if near is None else self.H.state_from(near)
         found = np.empty_like(rows)
         for n, (row, time) in enumerate(zip(rows, times, strict=True)):
@@ -202,6 +203,14 @@ class Transformation(Shown):
         return z if (z[places] > 0).all() else None
 
 
+def _times(t: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """Times of states, one or one for each; raise InputError unless they have this shape."""
+    times = checked_numbers("t", t)
+    if times.shape not in ((), shape):
+        raise InputError(f"t has shape {times.shape}; give one time, or one for each state")
+    return np.broadcast_to(times, shape)
+
+
 @checked_keywords
 def transform(
     H: HamiltonianLike,
@@ -240,16 +249,15 @@ class _Reader:
 
     def __init__(self, H: Hamiltonian, positive: str | Sequence[str]) -> None:
         self._H = H
-        names = [positive] if isinstance(positive, str) else list(positive)
-        self._positive = {canonical_name(name_of(name)) for name in names}
+        self._positive = {canonical_name(name_of(name)) for name in as_list(positive, "positive")}
 
     def read(self, formulas: Any, new: Any) -> CanonicalMap:
         """The map of formulas of coordinates, or of coordinates and momenta."""
         H = self._H
         if not isinstance(formulas, Mapping) or not formulas:
             raise InputError(
-                f"{formulas!r} is not a mapping of old variables to formulas; give for example "
-                '{"x": "r*cos(phi)", "y": "r*sin(phi)"}'
+                f"{shown(formulas)} is not a mapping of old variables to formulas; give for "
+                'example {"x": "r*cos(phi)", "y": "r*sin(phi)"}'
             )
         spelled = {canonical_name(name): name for name in H.names}
         known: dict[str, sympy.Expr] = {}
@@ -314,7 +322,7 @@ class _Reader:
     def _expression(self, value: Any) -> sympy.Expr:
         if isinstance(value, str):
             return self.plain(parse_expression(value))
-        return self.plain(checked_expression(sympy.sympify(value, strict=True), "a formula"))
+        return self.plain(checked_expression(value, "a formula"))
 
     def _symbols(self, names: Sequence[str]) -> list[sympy.Symbol]:
         unknown = self._positive - {canonical_name(name) for name in names}
@@ -342,7 +350,7 @@ class _Reader:
         if isinstance(new, Mapping):
             coordinates, momenta = [*map(name_of, new)], [*map(name_of, new.values())]
         elif new is not None:
-            coordinates = [name_of(name) for name in ([new] if isinstance(new, str) else new)]
+            coordinates = [*map(name_of, as_list(new, "new"))]
             momenta = [f"p_{name}" for name in coordinates]
         else:
             names = {symbol.name for value in values for symbol in value.free_symbols}

@@ -83,6 +83,7 @@ def test_values_that_are_no_finite_numbers_are_nan(formula: str, expected: list[
         (5, InputError, "5 is neither a component nor a formula"),
         (None, InputError, "None is neither"),
         (["x"], InputError, "neither a component nor a formula"),
+        pytest.param(10**5000, InputError, "<int> is neither a component", id="huge"),
         ("", ParseError, "empty"),
         ("θ^2", ParseError, r"write \*\* for powers"),
         ("θ = 1", ParseError, "'='"),
@@ -103,6 +104,14 @@ def test_values_that_are_no_finite_numbers_are_nan(formula: str, expected: list[
 def test_what_is_no_formula_is_refused(given: Any, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         H.observable(given)
+
+
+@pytest.mark.parametrize("formula", ["θ", "θ**2"])
+@pytest.mark.parametrize("z", ["a", 3, [1.0] * 9])
+def test_states_of_another_length_are_refused(formula: str, z: Any) -> None:
+    for evaluate in (H.observable(formula), H.observable(formula).values):
+        with pytest.raises(InputError, match="its last axis must have length"):
+            evaluate(z)
 
 
 def test_parameters_without_a_value_are_named() -> None:

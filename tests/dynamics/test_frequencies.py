@@ -173,6 +173,15 @@ def test_what_has_no_frequencies(result: Any, signals: tuple[Any, ...], message:
         hamsym.frequencies(result, *signals)
 
 
+def test_more_terms_than_samples_and_other_times_are_refused() -> None:
+    solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 99))
+    with pytest.raises(InputError, match="count=1000000000 cannot be used"):
+        solution.frequencies(count=10**9)
+    for t in ("a", 10**400):
+        with pytest.raises(InputError, match="not a real number"):
+            solution.frequencies()(t)
+
+
 def test_a_fixed_point_has_no_frequency_and_a_figure_says_so() -> None:
     found = hamsym.solve("p**2/2 + x**2/2", [0, 0], (0, 9)).frequencies()
     assert not found.success

@@ -161,7 +161,16 @@ def test_arguments_are_checked() -> None:
         one.normal_form(1)
     with pytest.raises(InputError, match="beyond 16"):
         one.normal_form(17)
-    assert "stable" in one.normal_form(4).summary()
+    with pytest.raises(InputError, match="digits='a' cannot be used"):
+        one.coordinates("a")  # type: ignore[arg-type]
+    form = one.normal_form(4)
+    assert "stable" in form.summary()
+    for evaluate in (form.hamiltonian, form.to_normal, form.from_normal):
+        for given in ("a", 10**400, [1.0, 2.0, 3.0], 1.0):
+            with pytest.raises(InputError, match="an entry that is not|numbers in each row"):
+                evaluate(given)
+    with pytest.raises(InputError, match="equilibrium=3 cannot be used; give an Equilibrium"):
+        hamsym.normal_form(3)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("units", [(1e-27, 1e-10, 9.81), (6e24, 1e8, 1e-3)])

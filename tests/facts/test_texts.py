@@ -54,6 +54,8 @@ def test_solution_begins_with_the_largest_error(degrees: int) -> None:
     assert rows == [solution.H.names[k] for k in order[:12]]
     assert f"... and {solution.H.dim - 12} components with smaller errors; all with" in text
     whole = solution.summary(rows=None)
+    with pytest.raises(hamsym.InputError, match="rows='a' cannot be used; give a whole number"):
+        solution.summary(rows="a")  # type: ignore[arg-type]
     assert all(f"\n{name} " in whole for name in solution.H.names)
     assert "..." not in whole
 

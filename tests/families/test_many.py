@@ -281,6 +281,11 @@ def test_invalid_arguments_are_refused(arguments: tuple, options: dict, message:
         hamsym.solve_many(*arguments, **options)
 
 
+def test_other_things_than_paths_are_no_stores() -> None:
+    with pytest.raises(FileError, match="'3' cannot be written: expected str"):
+        hamsym.solve_many(HENON, np.zeros((3, 4)), SPAN, store=3)  # type: ignore[arg-type]
+
+
 # -- interruption and memory -----------------------------------------------------------------------
 
 

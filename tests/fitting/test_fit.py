@@ -574,15 +574,20 @@ def test_flow_maps_that_cannot_be_trusted_are_refused(flow: Oscillation, message
         ({"z0": {"p": 1.0}}, "'p' is 1.0, but 0.0 in the flow map"),
         ({"span": (0, 5)}, "not that of the flow map"),
         ({"free": {"k": 10.0, "x": 1.0}}, "outside its bounds"),
+        ({"bounds": 3}, "bounds=3 is not a mapping"),
+        ({"bounds": {"k": 3}}, "bounds of 'k' are 3; give .low, high."),
+        ({"bounds": {"k": ("a", 4)}}, "a bound of 'k' is 'a'"),
+        ({"z0": {"p": [0.0, 0.0]}}, r"'p' is \[0.0, 0.0\], but 0.0 in the flow map"),
+        ({"flow": 3}, "flow=3 cannot be used; give a FlowMap"),
     ],
 )
 def test_arguments_that_contradict_a_flow_map_are_refused(
     options: dict[str, Any], message: str
 ) -> None:
     t, data = tracks(1, 0.05)
-    arguments: dict[str, Any] = {"free": {"k": 3.8, "x": 1.0}, "sigma": 0.05}
+    arguments: dict[str, Any] = {"free": {"k": 3.8, "x": 1.0}, "sigma": 0.05, "flow": Oscillation()}
     with pytest.raises(InputError, match=message):
-        hamsym.fit(OSCILLATOR, t, {"x": data[0]}, flow=Oscillation(), **arguments | options)
+        hamsym.fit(OSCILLATOR, t, {"x": data[0]}, **arguments | options)
     with pytest.raises(InputError, match="H is not that of the flow map"):
         hamsym.fit("p**2/2 + x**2/2", t, {"x": data}, free={"x": 1.0}, flow=Oscillation())
 

@@ -348,6 +348,7 @@ def test_bad_boxes_are_refused(arguments: tuple, message: str) -> None:
         ({"seed": -1}, "seed=-1 cannot be used"),
         ({"parameters": {"k": (1, 2)}}, "'k' is not a parameter of H"),
         ({"parameters": 3}, "parameters=3 is not a mapping"),
+        *(({"atol": atol}, "atol=.* cannot be used") for atol in ("a", 10**400, [1, 2, 3], -1.0)),
     ],
 )
 def test_bad_options_are_refused(options: dict, message: str) -> None:
@@ -368,7 +369,11 @@ def test_bad_queries_are_refused(with_parameter: FlowMap) -> None:
         ((1.0, start, {"k": 1.5, "m": 1}), "'m' is not a parameter that varies"),
         ((1.0, [1.0, 0.5, 0.0], k), r"z0 has shape \(3,\)"),
         (([1.0, 2.0], {"x": [1.1, 1.2, 1.3]}, k), "shapes do not broadcast"),
-        (("now", start, k), "'t' has an entry that is not a number"),
+        *(((t, start, k), "'t' has an entry that is not a real") for t in ("now", 10**400, 1j)),
+        ((1.0, "ab", k), "z0 has an entry that is not a real number"),
+        ((1.0, [[1, 2], [3]], k), "z0 has an entry that is not a real number"),
+        ((1.0, {"x": 1.5, "p": "q"}, k), "p has an entry that is not a real number"),
+        ((1.0, start, [1]), r"parameters=\[1\] is not a mapping"),
     ):
         with pytest.raises(InputError, match=message):
             flow(*arguments)

@@ -106,7 +106,7 @@ def test_states_too_far_apart_are_refused() -> None:
         (4.1, "t = 4.1 is outside the trajectory, from 0 to 4"),
         ([1.0, -1.0], "t = -1 is outside"),
         (np.nan, "t = nan is outside"),
-        ("now", "t has an entry that is not a number"),
+        ("now", "t has an entry that is not a real number"),
         ([[1.0]], r"t has shape \(1, 1\); give one time or a list"),
     ],
 )

@@ -107,6 +107,8 @@ def test_arguments_that_do_not_fit_are_refused() -> None:
     for arguments, what in cases:
         with pytest.raises(InputError, match=what):
             hamsym.connections(*arguments)
+    with pytest.raises(InputError, match="connection=3 cannot be used; give a Connection"):
+        hamsym.connection_family(3)  # type: ignore[arg-type]
     tilted = "p**2/2 - x**2/2 + x**4/4 + x**3/10 - x**6/1000"
     saddles = [one for one in hamsym.equilibria(tilted) if one.stable is False]
     parts = [one.manifolds(duration=3) for one in saddles[:2]]

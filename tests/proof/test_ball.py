@@ -200,7 +200,7 @@ def test_ball_may_have_any_shape(shape):
 
 
 @pytest.mark.parametrize(
-    "values", [[1.0, 2.0, 3.0], [[1.0], [1.0, 2.0]], "a", ["a", "b"], 1j, object(), {}]
+    "values", [[1.0, 2.0, 3.0], [[1.0], [1.0, 2.0]], "a", ["a", "b"], 1j, object(), {}, 10**400]
 )
 def test_values_that_are_no_numbers_or_do_not_fit_are_refused(values):
     with pytest.raises(InputError):

@@ -107,6 +107,18 @@ def test_invalid_bounds_are_refused_in_one_sentence(solution, bound):
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        (hamsym.certify, "solution=3 cannot be used; give a Solution or a FlowMap"),
+        (hamsym.prove_orbit, "orbit=3 cannot be used; give a PeriodicOrbit"),
+    ],
+)
+def test_other_objects_have_no_proof(function, message):
+    with pytest.raises(InputError, match=message):
+        function(3)
+
+
 def test_bound_is_no_option_for_a_flow_map():
     flow = hamsym.FlowMap.__new__(hamsym.FlowMap)
     with pytest.raises(InputError, match="bound"):

@@ -586,13 +586,15 @@ def test_round_off_limit_for_every_seed(seed: int) -> None:
     np.testing.assert_allclose(solution(t), best(t), atol=1e-10)
 
 
-@pytest.mark.parametrize("tol", [0.0, -1e-3, 1e-13, 1.0, math.nan, math.inf, "small"])
+@pytest.mark.parametrize(
+    "tol", [0.0, -1e-3, 1e-13, 1.0, math.nan, math.inf, "small", pytest.param(10**5000, id="huge")]
+)
 def test_unusable_tolerances_are_rejected(tol: object) -> None:
     with pytest.raises(InputError, match="tol=.* cannot be used; give a number from 1e-12"):
         hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1), tol=tol)
 
 
-@pytest.mark.parametrize("atol", [-1.0, math.nan, [0.0] * 3, "none"])
+@pytest.mark.parametrize("atol", [-1.0, math.nan, [0.0] * 3, "none", 10**400])
 def test_unusable_absolute_tolerances_are_rejected(atol: object) -> None:
     with pytest.raises(InputError, match="atol=.* cannot be used; give"):
         hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1), atol=atol)

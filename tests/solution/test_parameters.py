@@ -254,7 +254,7 @@ def test_shapes_and_order_of_columns(spring: Solution) -> None:
         (["x"], "'x' is not a parameter of H"),
         ([3], "'3' is not a parameter of H"),
         ([], "names no parameter"),
-        (5, "names no parameter"),
+        (5, "parameters=5 cannot be used; give a name or a list"),
     ],
 )
 def test_names_that_are_refused(spring: Solution, parameters: Any, message: str) -> None:

@@ -283,7 +283,7 @@ def test_times_outside_the_span_are_rejected(solution: Solution) -> None:
             solution.energy(torch.tensor(t))
     with pytest.raises(InputError, match="not finite"):
         solution(math.nan)
-    with pytest.raises(InputError, match="not a number"):
+    with pytest.raises(InputError, match="not a real number"):
         solution(1j)
     with pytest.raises(InputError, match="one time or a list"):
         solution(np.zeros((2, 2)))
@@ -440,7 +440,11 @@ def test_figure_has_its_panels(solution: Solution) -> None:
 
 def test_times_and_events_of_other_types_are_refused():
     solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 1))
-    with pytest.raises(InputError, match="not a number"):
-        solution(10**400)
+    analysis = solution.analysis
+    functions = (solution, solution.energy_drift, analysis.linearized_error, analysis.eigenvalues)
+    for function in functions:
+        for t in (10**400, "a", np.array([0.5 + 0.5j])):
+            with pytest.raises(InputError, match="t has an entry that is not a real number"):
+                function(t)
     with pytest.raises(InputError, match="events=3"):
         solution.events(3)

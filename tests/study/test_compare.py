@@ -216,6 +216,10 @@ def test_ctrl_c_ends_a_comparison(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"points": 0}, "points=0"),
         ({"points": -3}, "points=-3"),
         ({"max_steps": "a"}, "max_steps='a'"),
+        ({"methods": None}, "methods=None cannot be used; give a name or a list"),
+        ({"exact": 3}, "exact=3 cannot be used; give a function"),
+        ({"exact": lambda t: "a"}, "the exact solution has an entry that is not a real number"),
+        ({"exact": lambda t: np.zeros((2, len(t)))}, r"the exact solution has shape \(2, "),
     ],
 )
 def test_unusable_options_are_rejected(

@@ -109,7 +109,12 @@ def test_progress_lines_without_a_terminal(tmp_path, capsys, monkeypatch):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"seeds": 0}, "empty"),
+        ({"seeds": 0}, "seeds=0 cannot be used; give a whole number from 1"),
+        ({"seeds": None}, "seeds=None"),
+        ({"seeds": []}, "empty"),
+        ({"settings": ["a"]}, r"settings=\['a'\] is not a mapping"),
+        ({"settings": {3: ADAM}}, r"settings=\[3\] cannot be used; give names as text"),
+        ({"settings": {"a": lambda seed: 1 / seed}}, "seed 0 cannot be made: division by zero"),
         ({"seeds": [1, 1]}, "repeats"),
         ({"seeds": [-1]}, "seeds=-1"),
         ({"workers": 0}, "workers=0"),

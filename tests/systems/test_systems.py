@@ -42,6 +42,7 @@ VARIANTS: dict[str, Make] = {
         for n in (2, 5)
     },
     "coupled_oscillators 5": lambda: systems.coupled_oscillators(5, coupling=2.0),
+    "coupled_oscillators 2, unstable": lambda: systems.coupled_oscillators(2, coupling=-0.4),
     "kepler, circle": lambda: systems.kepler(0.0),
     "charged_particle, left": lambda: systems.charged_particle(-2.5),
     **{
@@ -411,6 +412,10 @@ def test_spring_pendulum_is_in_resonance() -> None:
         lambda: systems.lagrange_top(weight=-1.0),
         lambda: systems.lagrange_top(tilt=0.0),
         lambda: systems.lagrange_top(tilt=3.2),
+        lambda: systems.kepler("a"),  # type: ignore[arg-type]
+        lambda: systems.pendulum(amplitude=None),  # type: ignore[arg-type]
+        lambda: systems.morse_oscillator(x=10**400),
+        lambda: systems.driven_oscillator(drive=10**400),
     ],
 )
 def test_unusable_arguments_are_rejected(make: object) -> None:

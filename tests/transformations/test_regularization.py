@@ -267,3 +267,5 @@ def test_place_of_a_collision_is_checked(about):
     H = Hamiltonian("(p_x**2+p_y**2)/2 - 1/sqrt(x**2+y**2)")
     with pytest.raises(InputError, match=r"about=3|the place of x"):
         H.regularized("levi-civita", about=about)
+    with pytest.raises(InputError, match="coordinates=3 cannot be used"):
+        H.regularized("levi-civita", coordinates=3)

@@ -161,11 +161,22 @@ def test_generating_functions(kind: str, function: str, expected: str | None) ->
         ),
         (None, {"F1": "x", "new": {"X": "P"}}, "of F1 have no solution for x, p"),
         ({"x": "X**3 + X*exp(X*t)", "p": "P"}, {}, "not canonical"),
+        ({"x": object()}, {}, "a formula must be a str or a sympy expression, not object"),
+        ({"x": "X"}, {"positive": 3}, "positive=3 cannot be used; give a name or a list"),
+        ({"x": "X"}, {"new": 3}, "new=3 cannot be used; give a name or a list"),
     ],
 )
 def test_maps_that_are_refused(arguments: Any, options: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=re.escape(message)):
         Hamiltonian(OSCILLATOR).transformed(arguments, **options)
+
+
+@pytest.mark.parametrize("t", ["a", 1j, 10**400, [1, 2, 3], [0.0]])
+def test_times_that_do_not_belong_to_the_states_are_refused(t: Any) -> None:
+    found = Hamiltonian(OSCILLATOR).transformed({"x": "2*X"})
+    for convert in (found.to_old, found.to_new):
+        with pytest.raises(InputError, match="t has (an entry that is not|shape)"):
+            convert([1, 0] if t != [0.0] else [[1, 0], [2, 0]], t)
 
 
 @pytest.mark.parametrize(

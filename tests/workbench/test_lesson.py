@@ -269,6 +269,8 @@ def test_lesson_without_a_start_gets_one(tmp_path: Path) -> None:
         ({"z0": [1, 0], "parameters": {"k": (2, 1)}}, r"k=\(2, 1\) is no range"),
         ({"z0": [1, 0], "parameters": {"k": (1, float("nan"))}}, "k=.* is no range"),
         ({"z0": [1, 0], "parameters": {"k": 1.0}}, "k=1.0 is no range"),
+        ({"z0": [1, 0], "parameters": {"k": (1, 10**400)}}, "k=.* is no range"),
+        ({"z0": [1, 0], "parameters": 3}, "parameters=3 is not a mapping"),
         ({"z0": [1, 0], "parameters": {"k": (1, 2)}, "title": 3}, "are texts"),
         ({"z0": [1, 0], "parameters": {"k": (-2, -1)}, "span": (0, 500)}, "the solution failed"),
     ],

@@ -51,7 +51,7 @@ class Ball:
             return
         try:
             middle, radii = np.asarray(self.mid, dtype=float), np.asarray(self.radius, dtype=float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise InputError("a Ball needs numbers: Ball(mid, radius)") from None
         if middle.shape != radii.shape:
             raise InputError(
@@ -116,7 +116,7 @@ class Ball:
         try:
             numbers = np.asarray(values, dtype=float)
             triples = np.broadcast_arrays(numbers, self.mid, self.radius)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise InputError(
                 f"values must be numbers of the shape {np.shape(self.mid)} of the ball"
             ) from None

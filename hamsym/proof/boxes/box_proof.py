@@ -39,7 +39,7 @@ from hamsym.proof.boxes.public_map import check_map
 from hamsym.proof.boxes.tube import Flow, StepModels, Stepper, sizes
 from hamsym.proof.limits import Deadline
 from hamsym.support.records import packed
-from hamsym.support.validation import require_whole
+from hamsym.support.validation import checked_mapping, require_whole
 
 # Largest degrees in tau and in the inputs, by the number of inputs: of the map and its defect, and
 # of everything else.
@@ -126,13 +126,9 @@ def proven_bound(
 def _intervals(flow: FlowMap, box: Mapping[str, Any] | None) -> list[Interval]:
     """The box of the claim: that of the map, or a part of it."""
     whole = flow.box
-    if box is None:
-        box = {}
-    if not isinstance(box, Mapping):
-        raise InputError(f'box={box!r} is not a mapping; give for example {{"x": (1.0, 1.1)}}')
     known = {canonical_name(name): name for name in whole}
     given = dict(whole)
-    for key, value in box.items():
+    for key, value in checked_mapping("box", box, '{"x": (1.0, 1.1)}').items():
         name = known.get(canonical_name(str(key)))
         if name is None:
             raise InputError(
@@ -140,7 +136,7 @@ def _intervals(flow: FlowMap, box: Mapping[str, Any] | None) -> list[Interval]:
             )
         try:
             low, high = (float(end) for end in value)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise InputError(f"box has {name}={value!r}; give an interval (low, high)") from None
         least, most = whole[name]
         if not least <= low < high <= most:

@@ -16,6 +16,7 @@ from hamsym.proof.arithmetic.balls import decimal, decimal_above, decimal_below
 from hamsym.support.record_fields import Limit, Written
 from hamsym.support.sealed_text import SealedText
 from hamsym.support.suggestions import suggest_attributes
+from hamsym.support.validation import checked_numbers
 
 # Difference of upper and lower bounds that is always small enough, in units of the components.
 FLOOR = 2.0**-60
@@ -132,10 +133,7 @@ class Certificate(SealedText):
         InputError
             If a time is outside the span.
         """
-        try:
-            times = np.asarray(t, dtype=float)
-        except (TypeError, ValueError, OverflowError):
-            raise InputError("t must be a number or an array of numbers") from None
+        times = checked_numbers("t", t)
         values = np.array([self._bound_at(float(time)) for time in times.ravel()])
         return float(values[0]) if times.ndim == 0 else values.reshape(times.shape)
 

@@ -147,7 +147,7 @@ def _slider_ranges(
 def _range(name: str, ends: Any) -> tuple[float, float]:
     try:
         low, high = (float(end) for end in ends)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         low = high = math.nan
     if not -math.inf < low < high < math.inf:
         raise InputError(
