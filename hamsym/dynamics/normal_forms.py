@@ -50,6 +50,10 @@ _MOST = 16  # degree
 # Relative error of H on tori up to which the normal form is of use.
 _WANTED = 1e-3
 _PHASES = 24
+# Sizes at which it is compared, powers of two of a unit, and how many of them in an octave.
+_LEAST, _LARGEST, _SIZES = -60, 20, 8
+# Round-off of H, in units of its value at the equilibrium, that is less than what is wanted.
+_ROUND_OFF = 1e-14
 
 
 @suggest_attributes
@@ -409,26 +413,27 @@ def _domain(H: Hamiltonian, form: NormalForm) -> float:
     """The size of normal coordinates up to which H agrees, estimated at random phases."""
     energy, dof = H.compile("numpy").energy, H.dof
     random = np.random.default_rng(0)
-    shares = random.dirichlet(np.ones(dof), _PHASES)
-    angles = random.uniform(0, 2 * np.pi, (_PHASES, dof))
+    round_off = _ROUND_OFF * abs(float(form.hamiltonian(np.zeros(dof))))
 
     def agrees(size: float) -> bool:
-        actions = shares * size**2 / 2
+        actions = random.dirichlet(np.ones(dof), _PHASES) * size**2 / 2
+        angles = random.uniform(0, 2 * np.pi, (_PHASES, dof))
         radius = np.sqrt(2 * actions)
         normal = np.concatenate([radius * np.cos(angles), radius * np.sin(angles)], axis=-1)
         with np.errstate(all="ignore"):
             found = energy(form.from_normal(normal)) - form.hamiltonian(actions)
             allowed = _WANTED * (np.abs(form.frequencies.mid) * actions).sum(axis=-1)
-        return bool((np.abs(found) <= allowed).all())
+        return bool(((np.abs(found) <= allowed) & (allowed > round_off)).all())
 
     # The size at which the first term beyond the quadratic one is as large.
     beyond = [abs(ball.mid) for powers, ball in form.coefficients.items() if sum(powers) == 2]
     slowest = np.abs(form.frequencies.mid).min()
     unit = math.sqrt(slowest / max(beyond)) if any(beyond) else 1.0
-    # From above, since at small sizes the round-off of H is larger than what is allowed.
-    low = next((unit * 2.0**k for k in range(20, -60, -1) if agrees(unit * 2.0**k)), 0.0)
-    high = 2 * low
-    while high > 1.01 * low:
-        middle = math.sqrt(low) * math.sqrt(high)
-        low, high = (middle, high) if agrees(middle) else (low, middle)
+    low = 0.0
+    for octave in np.arange(_LEAST, _LARGEST, 1 / _SIZES):
+        size = unit * 2.0**octave
+        if agrees(size):
+            low = size
+        elif low:  # at smaller sizes the round-off of H is larger than what is allowed
+            break
     return low

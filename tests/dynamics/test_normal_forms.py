@@ -188,3 +188,26 @@ def test_normal_forms_in_other_units(units: tuple[float, float, float]) -> None:
     assert form.domain / np.sqrt(action) == pytest.approx(
         _at_origin("p**2/2 - cos(x)").normal_form(6).domain, rel=0.02
     )
+
+
+@pytest.mark.parametrize(
+    ("formula", "within"),
+    [
+        ("(p**2 + x**2)/2 + 0.2*exp(-20*(p**2 + x**2 - 1)**2)", 0.7),
+        ("p**2/2 + x**2/2 + 0.05*exp(-(4*(x - 2))**2)", 1.6),
+    ],
+)
+def test_domain_ends_before_a_feature_beyond_which_the_form_agrees_again(
+    formula: str, within: float
+) -> None:
+    for degree in (2, 6):
+        assert 0.8 * within < _at_origin(formula).normal_form(degree).domain < within
+
+
+def test_domain_far_from_the_origin_begins_above_round_off() -> None:
+    near, far = (Hamiltonian(f"p**2/2 - cos(x - {shift}) + {shift}") for shift in (0, 1_000))
+    sizes = [
+        H.equilibria({"x": shift, "p": 0})[0].normal_form(6).domain
+        for H, shift in ((near, 0), (far, 1_000))
+    ]
+    assert sizes[0] == pytest.approx(sizes[1], rel=0.1)
