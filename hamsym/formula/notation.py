@@ -101,7 +101,9 @@ class Notation:
 
 
 class _TextPrinter(FormulaPrinter):
-    """Text for reading: k/(2*(x - 1)), not 1/2*k/(x - 1)."""
+    """Text for reading: k/(2*(x - 1)), not 1/2*k/(x - 1); floats as short decimals."""
+
+    exact = False
 
     def __init__(self, notation: Notation) -> None:
         super().__init__()

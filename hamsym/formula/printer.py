@@ -7,12 +7,14 @@ tensor function on a Python number nor evaluate the root at every call.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping
 
 import sympy
 
 from hamsym.errors import CodeGenerationError
+from hamsym.formula.parser import MAX_EXPONENT
 
 _ADD, _MUL, _POW, _ATOM = range(4)  # precedences
 _READABLE = 1_000  # fractions up to here stay fractions in code
@@ -279,9 +281,12 @@ class FormulaPrinter(Printer):
     >>> x, p = sympy.symbols("x p", real=True)
     >>> FormulaPrinter()(x**4/4 + x**2/2 + p**2/2)
     'p**2/2 + x**2/2 + x**4/4'
+    >>> FormulaPrinter()(0.5 * p**2 + 0.1 * x)
+    '3602879701896397/2**55*x + 0.5*p**2'
     """
 
     backend = "text"
+    exact = True  # whether parsing gives the same floating-point numbers
     functions = _table("{}", abs="abs", min="min", max="max")
 
     def __init__(self) -> None:
@@ -295,11 +300,28 @@ class FormulaPrinter(Printer):
 
     def number(self, value: sympy.Expr) -> tuple[str, int]:
         if value.is_Float:
-            return repr(float(value)), _ADD if value < 0 else _ATOM
+            return self.floating(value)
         if decimal := exact_decimal(value):
             return decimal, _ADD if value < 0 else _ATOM
         text = str(value.p) if value.q == 1 else f"{value.p}/{value.q}"
         return text, _ADD if value.p < 0 else (_ATOM if value.q == 1 else _MUL)
+
+    def floating(self, value: sympy.Float) -> tuple[str, int]:
+        """Print a floating-point number, as a binary fraction if no short decimal is equal to it.
+
+        Proofs take the number that it is, and parsing takes decimals exactly.
+        """
+        decimal = repr(float(value))
+        finite = math.isfinite(float(value))
+        if not self.exact or (finite and sympy.Rational(decimal) == sympy.Rational(value)):
+            return decimal, _ADD if value < 0 else _ATOM
+        sign, mantissa, exponent, _ = value._mpf_
+        operator, left = ("*" if exponent > 0 else "/"), abs(int(exponent))
+        text = "-" * int(sign) + str(int(mantissa))
+        while left:
+            step = min(left, MAX_EXPONENT)
+            text, left = f"{text}{operator}2**{step}", left - step
+        return text, _ADD if sign else _MUL
 
     def _render(self, expr: sympy.Expr) -> tuple[str, int]:
         if expr.is_Symbol:

@@ -12,6 +12,8 @@ import sympy
 import hamsym
 from hamsym import Hamiltonian
 from hamsym.cli.derivation import _lines
+from hamsym.formula.parser import parse_expression
+from hamsym.formula.printer import FormulaPrinter
 from hamsym.workbench.equations import equations
 from hamsym.workbench.mathml import mathml
 from hamsym.workbench.notebooks.cards import typeset as typeset_formula
@@ -135,3 +137,20 @@ def test_displayed_text_parses_to_the_same_formula(formula: str) -> None:
     H = Hamiltonian(formula)
     assert sympy.simplify(Hamiltonian(H.notation.text(H.expr)).expr - H.expr) == 0
     assert re.search(r"1/\d+\*", H.notation.text(H.expr)) is None
+
+
+@pytest.mark.parametrize(
+    "number", [0.3, -0.1, 0.5, 3.0, 1e23, 1e-300, -5e-324, sympy.Float("0.1", 50)]
+)
+def test_printed_floats_are_parsed_to_the_numbers_that_proofs_take(number) -> None:
+    x, p = sympy.symbols("x p", real=True)
+    for expr in (number * x + p, x**2 / (p + number), sympy.exp(number * x - 3000)):
+        exact = expr.xreplace({f: sympy.Rational(f) for f in expr.atoms(sympy.Float)})
+        assert parse_expression(FormulaPrinter()(expr)) == exact
+
+
+def test_floats_are_short_where_they_are_displayed() -> None:
+    x, p = sympy.symbols("x p", real=True)
+    H = Hamiltonian(p**2 / 2 + 0.3 * x - 0.1 * x**2, q=["x"], p=["p"])
+    assert H.notation.text(H.expr) == "0.3*x + p**2/2 - 0.1*x**2"
+    assert H.formula == "5404319552844595/2**54*x + p**2/2 - 3602879701896397/2**55*x**2"

@@ -129,6 +129,19 @@ def test_driven_orbit_is_proven_for_its_exact_period():
         forced.certify()
 
 
+def test_a_statement_has_the_floats_that_are_proven():
+    # exp(0.3*x - 3000) at x = 10^4: 3/10 in place of the binary 0.3 moves the period by 3e-13.
+    x, p = sympy.symbols("x p", real=True)
+    H = p**2 / 2 + sympy.exp(0.3 * x - 3000) + sympy.exp(10_000 - x)
+    first, again = (
+        hamsym.periodic_orbit(
+            hamsym.Hamiltonian(formula, q=["x"], p=["p"]), [10_001.0, 0.0], energy=3.0
+        ).certify()
+        for formula in (H, hamsym.Hamiltonian(H, q=["x"], p=["p"]).formula)
+    )
+    assert abs(again.period.mid - first.period.mid) <= again.period.radius + first.period.radius
+
+
 @pytest.mark.parametrize("start", [0.7, -123.456, 1e5])
 def test_driven_orbit_from_another_time_has_its_exact_state(start):
     # x'' = -x + cos(2 t): x = -cos(2 t)/3
