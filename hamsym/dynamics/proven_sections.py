@@ -195,14 +195,14 @@ def _statement(
         how = ("rising, " if direction > 0 else "falling, ") + how
     return (
         f"the exact solution{'s' * many} of {who} {first}cross{'' if many else 'es'} "
-        f"{section.surface} {times}{until}, {how}, at times and states in the balls"
+        f"{section.surface} {times} after the start{until}, {how}, at times and states in the balls"
     )
 
 
 def _span_of(section: Section, times: np.ndarray, limit: int | None) -> tuple[float, float]:
-    """The span of the proof: it ends a step after the last crossing if these are limited."""
+    """The span of the proof: it ends a step after the last crossing if the limit is reached."""
     begin, end = section.span
-    if limit is not None and len(times):
+    if limit and len(times) == limit:
         last = float(times[-1]) + section.dt
         end = min(end, last) if end > begin else max(end, last)
     return begin, end

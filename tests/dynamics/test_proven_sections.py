@@ -13,6 +13,7 @@ import sympy
 
 import hamsym
 from hamsym import CertificationError, Hamiltonian, section
+from hamsym.dynamics.proven_sections import prove_section
 from hamsym.proof.arithmetic.ball import Ball
 
 HENON_HEILES = "(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2 + x**2*y - y**3/3"
@@ -188,9 +189,9 @@ def test_files_and_verification(tmp_path: Path) -> None:
 
 def test_statements_say_direction_and_span() -> None:
     rising = section("p**2/2 + x**2/2", [0, 1], (0, 20), "x = 0", direction=1, prove=True)
-    assert "3 times for t from 0.0 to 20.0, rising," in rising.certificate.statement
+    assert "3 times after the start for t from 0.0 to 20.0, rising," in rising.certificate.statement
     short = section("p**2/2 + x**2/2", [0, 1], (0, 9.424777), "x = 0", prove=True)
-    assert "2 times for t from 0.0 to 9.424777, " in short.certificate.statement
+    assert "2 times after the start for t from 0.0 to 9.424777, " in short.certificate.statement
     first = section("p**2/2 + x**2/2", [0, 1], (0, 20), "x = 0", crossings=1, prove=True)
     assert "for t" not in first.certificate.statement
 
@@ -200,6 +201,14 @@ def test_certificates_do_not_hold_for_other_crossings() -> None:
     for changed in ({"z": found.z + 5.0}, {"t": found.t * 0.5, "dt": 1e3}):
         with pytest.raises(CertificationError, match="the section has"):
             found.certificate.verify(replace(found, **changed))
+
+
+def test_fewer_crossings_than_the_limit_are_proven_over_the_span() -> None:
+    found = section("p**2/2 + x**2/2", [0, 1], (0, 50), "x = 0", prove=True)
+    fewer = replace(found, t=found.t[:3], z=found.z[:3], trajectory=found.trajectory[:3])
+    with pytest.raises(CertificationError, match="has 5 crossings by the proof and 3"):
+        prove_section(fewer, found.certificate.starts, 0.0, 5)
+    assert len(prove_section(fewer, found.certificate.starts, 0.0, 3).t.mid) == 3
 
 
 def test_certificates_without_crossings_are_no_claim(tmp_path: Path) -> None:

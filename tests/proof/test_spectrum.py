@@ -91,3 +91,23 @@ def test_saddle_among_frequencies_of_other_sizes_is_unstable() -> None:
     [found] = block_spectra(balls(hessian))
     assert found.unstable
     assert found.centres == 2
+
+
+def test_parts_of_eigenvalues_below_the_smallest_float_are_undecided() -> None:
+    """a (x p + y q) + c (x q - y p): a focus with exponents +-a +- i c."""
+    a, c, zero = arb((1, -1100)), arb((1, -1060)), arb(0)
+    two = [[zero, zero, a, c], [zero, zero, -c, a], [a, -c, zero, zero], [c, a, zero, zero]]
+    # beside a centre, to which it is coupled
+    weak = arb((1, -1090))
+    three = [[zero] * 6 for _ in range(6)]
+    for i, row in enumerate(two):
+        for j, value in enumerate(row):
+            three[i + i // 2][j + j // 2] = value
+    three[2][2] = three[5][5] = 10 * c
+    for i, j in ((0, 2), (1, 5)):
+        three[i][j] = three[j][i] = weak
+    for hessian in (two, three):
+        for scale, decided in ((1, False), (arb((1, 800)), True)):
+            [found] = block_spectra([[scale * value for value in row] for row in hessian])
+            assert found.decided is decided
+            assert found.unstable is decided

@@ -113,6 +113,8 @@ def _two_pairs(matrix: acb_mat) -> list[complex] | None:
     if discriminant < 0:
         root = (acb(-a, (-discriminant).sqrt()) / 2).sqrt()
         re, im = float(root.real.mid()), float(root.imag.mid())
+        if not (re and im):  # below the smallest float
+            return None
         return [complex(x, y) for x in (re, -re) for y in (im, -im)]
     if not discriminant > 0 or b.contains(0) or (b > 0 and a.contains(0)):
         return None
@@ -124,6 +126,8 @@ def _two_pairs(matrix: acb_mat) -> list[complex] | None:
         if not (s > 0 or s < 0):
             return None
         k = float(abs(s).sqrt().mid())
+        if not k:  # below the smallest float
+            return None
         values += [complex(k), complex(-k)] if s > 0 else [complex(0, k), complex(0, -k)]
     return values
 
@@ -144,12 +148,11 @@ def _isolated(matrix: acb_mat) -> list[complex] | None:
         )
         if len(mirrored) != 1 or len(conjugate) != 1:
             return None
-        values.append(
-            complex(
-                0.0 if mirrored == [k] else float(value.real.mid()),
-                0.0 if conjugate == [k] else float(value.imag.mid()),
-            )
-        )
+        re, im = float(value.real.mid()), float(value.imag.mid())
+        imaginary, real = mirrored == [k], conjugate == [k]
+        if not ((re or imaginary) and (im or real)):  # below the smallest float
+            return None
+        values.append(complex(0.0 if imaginary else re, 0.0 if real else im))
     return values
 
 
