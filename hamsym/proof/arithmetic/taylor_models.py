@@ -20,7 +20,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -37,6 +37,8 @@ from hamsym.proof.arithmetic.functions import Arithmetic, SingularityError, gene
 BITS = 160  # of constants, tables and elementary functions
 _ORDERS = 26  # of the series of an elementary function
 _NEGLIGIBLE = 2.0**-58
+
+_Term = tuple[int, ...]
 
 
 def float_with_radius(number: arb) -> tuple[float, float]:
@@ -97,50 +99,29 @@ class Space:
         self._halves: dict[tuple[int, int], csr_array] = {}
         self._lower: dict[Space, tuple[csr_array, np.ndarray, csr_array]] = {}
         self._without_time = np.array([self.places[(0, *nu)] for _, *nu in own])
-        integral, self._beyond = self._integration()
-        self._integral = csr_array(integral)
-        self._ends = {end: csr_array(self._evaluation(end)) for end in (-1, 1)}
-        self._rate = csr_array(self._differentiation())
-        self.series = csr_array(self._conversion())
+        # Of the integral from tau = -1, and the shares that it leaves out.
+        self._integral = self._matrix(self._integrated)
+        beyond = [0.0 if (a + 1, *nu) in self.places else 1 / (a + 1) for a, *nu in own]
+        self._beyond = np.array(beyond)
+        # Of the values at tau = -1 and 1, and of the derivative in tau.
+        self._ends = {
+            end: self._matrix(lambda a, *nu, end=end: [((0, *nu), end**a)]) for end in (-1, 1)
+        }
+        self._rate = self._matrix(lambda a, *nu: [((a - 1, *nu), a)] if a else [])
+        self.series = self._matrix(_in_chebyshev)
 
-    def _integration(self) -> tuple[np.ndarray, np.ndarray]:
-        """The matrix of the integral from tau = -1, and the share that is left out."""
-        matrix, beyond = np.zeros((self.count, self.count)), np.zeros(self.count)
-        for i, (a, *nu) in enumerate(self.exponents.tolist()):
-            target = self.places.get((a + 1, *nu))
-            if target is None:
-                beyond[i] = 1 / (a + 1)
-            else:
-                matrix[target, i] += 1 / (a + 1)
-            matrix[self.places[(0, *nu)], i] += (-1) ** a / (a + 1)
-        return matrix, beyond
-
-    def _evaluation(self, end: int) -> np.ndarray:
-        """The matrix of the value at tau = -1 or 1."""
-        matrix = np.zeros((self.count, self.count))
-        for i, (a, *nu) in enumerate(self.exponents.tolist()):
-            matrix[self.places[(0, *nu)], i] = end**a
-        return matrix
-
-    def _differentiation(self) -> np.ndarray:
-        """The matrix of the derivative in tau."""
-        matrix = np.zeros((self.count, self.count))
-        for i, (a, *nu) in enumerate(self.exponents.tolist()):
-            if a:
-                matrix[self.places[(a - 1, *nu)], i] = a
-        return matrix
-
-    def _conversion(self) -> np.ndarray:
-        """The matrix from powers of the variables to products of Chebyshev polynomials.
-
-        Its entries are binary fractions of few bits and >= 0, so that they are exact.
-        """
+    def _matrix(self, rule: Callable[..., Iterable[tuple[_Term, float]]]) -> csr_array:
+        """The matrix of a linear map, by the terms and factors that it makes of each term."""
         matrix = np.zeros((self.count, self.count))
         for i, term in enumerate(self.exponents.tolist()):
-            for degrees in itertools.product(*(range(a % 2, a + 1, 2) for a in term)):
-                share = math.prod(map(_chebyshev_share, term, degrees))
-                matrix[self.places[degrees], i] = share
-        return matrix
+            for target, factor in rule(*term):
+                matrix[self.places[target], i] += factor
+        return csr_array(matrix)
+
+    def _integrated(self, a: int, *nu: int) -> Iterator[tuple[_Term, float]]:
+        if (a + 1, *nu) in self.places:
+            yield (a + 1, *nu), 1 / (a + 1)
+        yield (0, *nu), (-1) ** a / (a + 1)
 
     # -- models ------------------------------------------------------------------------------------
 
@@ -199,15 +180,15 @@ class Space:
 
     def _half(self, k: int, side: int) -> csr_array:
         """The matrix of the substitution of (side + s_k)/2 for s_k; its entries are exact."""
+
+        def halved(*term: int) -> Iterator[tuple[_Term, float]]:
+            power = term[1 + k]
+            for j in range(power + 1):
+                share = math.comb(power, j) * 0.5**power * side ** (power - j)
+                yield (*term[: 1 + k], j, *term[2 + k :]), share
+
         if (k, side) not in self._halves:
-            matrix = np.zeros((self.count, self.count))
-            for i, term in enumerate(self.exponents.tolist()):
-                power = term[1 + k]
-                for j in range(power + 1):
-                    lower = (*term[: 1 + k], j, *term[2 + k :])
-                    share = math.comb(power, j) * 0.5**power * side ** (power - j)
-                    matrix[self.places[lower], i] = share
-            self._halves[k, side] = csr_array(matrix)
+            self._halves[k, side] = self._matrix(halved)
         return self._halves[k, side]
 
     def lowered(self, model: Model, lower: Space) -> Model:
@@ -441,6 +422,15 @@ def _applied(function: Callable[..., Any], *arguments: Any) -> Any:
 
 #: The arithmetic of Taylor models, with balls as constants.
 MODELS = Arithmetic(_applied)
+
+
+def _in_chebyshev(*term: int) -> Iterator[tuple[_Term, float]]:
+    """A term in products of Chebyshev polynomials.
+
+    The factors are binary fractions of few bits and >= 0, so that they are exact.
+    """
+    for degrees in itertools.product(*(range(a % 2, a + 1, 2) for a in term)):
+        yield degrees, math.prod(map(_chebyshev_share, term, degrees))
 
 
 def _chebyshev_share(power: int, degree: int) -> float:

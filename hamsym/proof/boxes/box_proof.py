@@ -36,7 +36,7 @@ from hamsym.proof.boxes.box_certificate import BoxCertificate, map_digest
 from hamsym.proof.boxes.carried_errors import CarriedErrors, ErrorStep
 from hamsym.proof.boxes.map_models import Cells, LegModels, Step, affine_models, combined
 from hamsym.proof.boxes.public_map import check_map
-from hamsym.proof.boxes.tube import Flow, StepModels, Stepper, sizes
+from hamsym.proof.boxes.tube import Flow, StepModels, Stepper, sizes, steepest_inputs
 from hamsym.proof.limits import Deadline
 from hamsym.support.records import packed
 from hamsym.support.validation import checked_mapping, require_whole
@@ -537,13 +537,7 @@ class _Front:
                 for cell in self.cells
             ]
             return np.argmax(widths, axis=1)
-        found = 0.0
-        for model in (*trial.models.defect, *trial.states):
-            exponents = model.space.exponents[:, 1:]
-            high = exponents.sum(axis=1) * 2 >= model.space.degree
-            unit = np.abs(model.coefficients).sum(axis=0) + _TINY
-            found = found + exponents[high].T @ np.abs(model.coefficients[high]) / unit
-        return np.asarray(np.argmax(np.nan_to_num(found), axis=0))
+        return steepest_inputs([*trial.models.defect, *trial.states])
 
 
 def _replaced(cell: Cell, axis: int, interval: Interval) -> Cell:

@@ -39,7 +39,7 @@ from hamsym.proof.arithmetic.taylor_models import (
     float_with_radius,
     total,
 )
-from hamsym.proof.boxes.tube import Matrix, StepModels, Stepper, kept_bound, sizes
+from hamsym.proof.boxes.tube import Matrix, StepModels, Stepper, kept_bound, product, sizes
 
 _TINY = 1e-250
 _TRIES = 8
@@ -135,9 +135,9 @@ class CarriedErrors:
         starts = [[space.at_end(entry, -1) for entry in row] for row in models.adjoint]
         pairs = zip(starts, self.adjoint, strict=True)
         change = sizes([[a - b for a, b in zip(*rows, strict=True)] for rows in pairs])
-        shifts = None if jump is None else _product(starts, jump)
+        shifts = None if jump is None else product(starts, jump)
         w = self._on_step(0, models, change, shifts, models.forced)
-        main = _product(models.fundamental, w)
+        main = product(models.fundamental, w)
         sharp = np.array([model.size() for model in main])
         linear = np.array([model.largest() for model in main])
         linear = sum_up(linear + self._spread(models)[:, 0])
@@ -211,7 +211,7 @@ class CarriedErrors:
             V, V_error = [], []
             for number, forced in enumerate(self._forced(models, step), start=1):
                 w = self._on_step(number, models, step.change, None, forced)
-                main = _product(models.fundamental, w)
+                main = product(models.fundamental, w)
                 linear = np.array([model.largest() for model in main]) + spread[:, number]
                 bound, rest = _kept_below(sum_up(linear), M, grown, models.rest)
                 middle, beside = _without_inputs(main)
@@ -273,7 +273,7 @@ class CarriedErrors:
             return self
         fundamental = np.einsum("ijtc,jkc->iktc", ends, inverse)
 
-        def product(column: list[Model]) -> list[Model]:
+        def moved(column: list[Model]) -> list[Model]:
             return [total([m.times(c) for m, c in zip(column, row, strict=True)]) for row in C]
 
         lost = 2 * (dim + 4) * UNIT * np.einsum("ijc,jkc->ikc", np.abs(C), np.abs(self.frame))
@@ -281,7 +281,7 @@ class CarriedErrors:
         rounding = sum_up(rounding, 2 * dim + len(self.radii))
         columns = []
         for column, more in zip(self.columns, rounding, strict=True):
-            turned = product([model.polynomial() for model in column])
+            turned = moved([model.polynomial() for model in column])
             columns.append([m.widened(r) for m, r in zip(turned, more, strict=True)])
         added = np.array([[model.radius for model in column] for column in self.columns])
         frame = np.concatenate([np.einsum("ijc,jkc->ikc", C, self.frame), C], axis=1)
@@ -293,7 +293,7 @@ class CarriedErrors:
             frame=frame,
             radii=radii,
             fundamental=[[Model(space, m, np.zeros(parts)) for m in row] for row in fundamental],
-            adjoint=[list(row) for row in zip(*map(product, adjoint), strict=True)],
+            adjoint=[list(row) for row in zip(*map(moved, adjoint), strict=True)],
         )
         return found._shortened() if frame.shape[1] > _MOST_EDGES else found
 
@@ -308,7 +308,7 @@ class CarriedErrors:
         """The same columns with M the identity."""
         space, dim = self.stepper.space, len(self.frame)
         ends = [[space.at_end(entry, 1) for entry in row] for row in models.fundamental]
-        main = [_product(ends, own) for own in self.columns]
+        main = [product(ends, own) for own in self.columns]
         added = np.stack([[model.radius for model in own] for own in main], axis=1)
         added = added + np.einsum("ijc,jkc->ikc", models.rest, self.present)
         added = sum_up(added, 2 * dim)
@@ -325,12 +325,6 @@ class CarriedErrors:
         return CarriedErrors(
             self.stepper, self.slopes, columns, frame, np.asarray(radii), one, one, present
         )
-
-
-def _product(matrix: Matrix, column: list[Model]) -> list[Model]:
-    return [
-        total([entry * model for entry, model in zip(row, column, strict=True)]) for row in matrix
-    ]
 
 
 def _orthogonal(edges: np.ndarray, beside: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -143,10 +143,7 @@ class StepModels:
     @cached_property
     def forced(self) -> list[Model]:
         """S r."""
-        return [
-            total([entry * part for entry, part in zip(row, self.defect, strict=True)])
-            for row in self.adjoint
-        ]
+        return product(self.adjoint, self.defect)
 
     @cached_property
     def length(self) -> float:
@@ -155,7 +152,24 @@ class StepModels:
         return float(sum_up(value + radius))
 
 
-def sizes(matrix: list[list[Model]]) -> np.ndarray:
+def product(matrix: Matrix, column: list[Model]) -> list[Model]:
+    return [
+        total([entry * model for entry, model in zip(row, column, strict=True)]) for row in matrix
+    ]
+
+
+def steepest_inputs(models: Sequence[Model]) -> np.ndarray:
+    """The input of each cell in which models vary most beyond their middle degree."""
+    found: Any = 0.0
+    for model in models:
+        exponents = model.space.exponents[:, 1:]
+        high = exponents.sum(axis=1) * 2 >= model.space.degree
+        size = np.abs(model.coefficients[high])
+        found = found + exponents[high].T @ size / (model.amount() + _SMALLEST)
+    return np.asarray(np.argmax(np.nan_to_num(found), axis=0))
+
+
+def sizes(matrix: Matrix) -> np.ndarray:
     return np.array([[entry.largest() for entry in row] for row in matrix])
 
 

@@ -32,7 +32,7 @@ from hamsym.proof.arithmetic.taylor_models import (
 from hamsym.proof.boxes.carried_errors import CarriedErrors, ErrorStep
 from hamsym.proof.boxes.map_models import Step
 from hamsym.proof.boxes.nodes import Nodes
-from hamsym.proof.boxes.tube import Flow, StepModels, Stepper, sizes
+from hamsym.proof.boxes.tube import Flow, StepModels, Stepper, sizes, steepest_inputs
 from hamsym.proof.limits import Deadline
 from hamsym.support.record_fields import Count, floats
 
@@ -241,11 +241,15 @@ class WideSet:
             # Where these terms are small already, a shorter step does not help; and the end of the
             # span, which is as short as it is, would be halved without end.
             resolved = reach > _FINE or length * 2**_HALVINGS < longest
-            wide = ~(found.ratio <= self._patience(length))
+            # Halves need twice the time, so that what matters is what would come up to the end.
+            left = max(self.total - self.elapsed - length, self.total / 30)
+            wide = ~(found.ratio <= _MOST_ADDED / _SHARE * float(self.total / left))
             if halvings < _HALVINGS and not resolved and not worst > _GAIN * before:
                 before, halvings, self._length = worst, halvings + 1, length / 2
             elif wide.any() and self.parts + wide.sum() <= self._most:
-                self._split(Parts.halving(wide, self._axes(found.models)))
+                models = found.models
+                axes = steepest_inputs([*models.defect, *models.states])
+                self._split(Parts.halving(wide, axes))
                 self._length, before, halvings = longest, np.inf, 0
             elif np.isfinite(found.errors.bound).all():
                 if (found.errors.bound > found.extent).all(axis=0).any():
@@ -264,14 +268,6 @@ class WideSet:
             f"part{'s' * (self.parts > 1)}; use narrower balls, an earlier end time or more parts "
             "(max_parts)"
         )
-
-    def _patience(self, length: Fraction) -> float:
-        """What a step may add until its parts are halved, in units of what is aimed at.
-
-        Halves need twice the time, so that what matters is what would come up to the end.
-        """
-        left = max(self.total - self.elapsed - length, self.total / 30)
-        return _MOST_ADDED / _SHARE * float(self.total / left)
 
     def _candidate(self, length: Fraction) -> tuple[_Candidate | None, float]:
         """A step of a length, None where nothing is proven; and the tail of its terms in x.
@@ -337,16 +333,6 @@ class WideSet:
                 break
             last = change
         return None if change > 1e-8 else np.moveaxis(found, (3, 0), (0, 3))
-
-    def _axes(self, models: StepModels) -> np.ndarray:
-        """The input of each part in which its polynomials vary most beyond their middle degree."""
-        exponents = self._space.exponents[:, 1:]
-        high = exponents.sum(axis=1) * 2 >= self._space.degree
-        found = np.zeros((exponents.shape[1], self.parts))
-        for model in (*models.defect, *models.states):
-            size = np.abs(model.coefficients[high])
-            found += exponents[high].T @ size / (model.amount() + _TINY)
-        return np.asarray(np.argmax(np.nan_to_num(found), axis=0))
 
     def _split(self, parts: Parts) -> None:
         space = self._space
