@@ -43,7 +43,7 @@ from hamsym.proof.windows.certificate import (
     rounded_up,
 )
 from hamsym.proof.windows.public_windows import check_solution
-from hamsym.proof.windows.window_proof import WindowBounds, WindowProof
+from hamsym.proof.windows.window_proof import WindowProof
 from hamsym.solution.digest import digest
 from hamsym.solution.path import TRIALS
 from hamsym.solution.solution import Solution
@@ -191,8 +191,11 @@ def _on_windows(
     higher = found.uppers * (1 + _MARGIN) + margins
     lower = np.maximum(found.lowers * (1 - _MARGIN) - margins, 0.0)
     uppers, lowers = [*map(rounded_up, higher.tolist())], [*map(rounded_down, lower.tolist())]
-    edges, pieces = _pieces(found, solution.span)
-    wider = np.array(pieces) * (1 + _MARGIN) + margins[0]
+    begin, end = map(float, solution.span)
+    inner = (float(found.time(edge)) for edge in found.edges[1:-1])
+    edges = tuple(dict.fromkeys((begin, *inner, end)))
+    # Of the error in all windows that reach in between.
+    wider = np.array(found.bounds_between(edges)) * (1 + _MARGIN) + margins[0]
     return {
         "bound": uppers[0],
         "lower": lowers[0],
@@ -205,15 +208,6 @@ def _on_windows(
         "edges": edges,
         "piece_bounds": tuple(map(rounded_up, wider.tolist())),
     }
-
-
-def _pieces(
-    found: WindowBounds, span: tuple[float, float]
-) -> tuple[tuple[float, ...], list[float]]:
-    """Edges of windows as floats, and bounds on the error in all windows that reach in between."""
-    times = [found.time(edge) for edge in found.edges]
-    edges = tuple(dict.fromkeys((float(span[0]), *map(float, times[1:-1]), float(span[1]))))
-    return edges, found.bounds_between(edges)
 
 
 @checked_keywords
@@ -291,14 +285,21 @@ def verify(
             'checker="independent" covers certificates of solutions, flow maps and orbits, '
             'equilibria and invariants, not those of sections; give checker="kernel" for these'
         )
+    patience = 10.0 if independent else 1.0
     if isinstance(certificate, Certificate):
         solution = _of_kind(Solution, result)
-        _verify_solution(certificate, solution, time_limit, progress, independent)
+        _require_form(certificate, solution)
+        deadline = _deadline(time_limit, certificate.seconds, patience)
+        if independent:
+            verify_solution(certificate, solution, deadline.check)
+        else:
+            with blas_on_one_core(), share_progress(progress, "proving") as report:
+                WindowProof(solution, deadline, report).require(certificate)
         check_solution(solution)
     elif isinstance(certificate, BoxCertificate):
         flow = _of_kind(FlowMap, result)
-        deadline = _deadline(time_limit, certificate.seconds, 10.0 if independent else 1.0)
         _require_form_of_box(certificate, flow)
+        deadline = _deadline(time_limit, certificate.seconds, patience)
         if independent:
             verify_flow_map(certificate, flow, deadline.check)
             check_map(flow, [tuple(certificate.box[name] for name in flow.inputs)])
@@ -307,8 +308,8 @@ def verify(
     elif isinstance(certificate, hamsym.SectionCertificate):
         certificate.verify(_of_kind(hamsym.Section, result))
     else:
-        deadline = _deadline(time_limit, certificate.seconds, 10.0 if independent else 1.0)
         orbit = _of_kind(hamsym.PeriodicOrbit, result)
+        deadline = _deadline(time_limit, certificate.seconds, patience)
         if independent:
             verify_orbit(certificate, orbit, deadline.check)
         else:
@@ -326,14 +327,8 @@ def _of_kind(kind: type, result: Any) -> Any:
     return result
 
 
-def _verify_solution(
-    claims: Certificate,
-    solution: Solution,
-    time_limit: float | None,
-    progress: bool | None,
-    independent: bool,
-) -> None:
-    """Prove a certificate of a solution again."""
+def _require_form(claims: Certificate, solution: Solution) -> None:
+    """Raise CertificationError unless a certificate is one about a solution."""
     require_float64()
     try:
         as_json(claims)
@@ -349,15 +344,9 @@ def _verify_solution(
         raise CertificationError("the certificate and the solution have different dimensions")
     if claims.components != tuple(solution.H.names):
         raise CertificationError("the certificate and the solution name components differently")
-    deadline = _deadline(time_limit, claims.seconds, 10.0 if independent else 1.0)
-    if independent:
-        verify_solution(claims, solution, deadline.check)
-        return
-    with blas_on_one_core(), share_progress(progress, "proving") as report:
-        WindowProof(solution, deadline, report).require(claims)
 
 
-def _deadline(time_limit: float | None, seconds: float, factor: float = 1.0) -> Deadline:
+def _deadline(time_limit: float | None, seconds: float, factor: float) -> Deadline:
     if time_limit is not None:
         return Deadline.after(time_limit)
     own, share, most = (factor * x for x in (_PATIENCE, _PATIENCE_FACTOR, _MOST_PATIENCE))
