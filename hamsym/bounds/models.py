@@ -91,10 +91,11 @@ def residual_bounds(
     found = np.empty((3, len(t), z.shape[2]))
     rows = [np.moveaxis(array, 2, 1) for array in (z, rates)]
     given = [np.ascontiguousarray(a, dtype=float) for a in (*rows, t, ends, parameters)]
+    stride = given[-1].shape[1] if given[-1].ndim == 2 else 0
     done = library().hamsym_residual_bounds(
         *(ctypes.byref(programs.program(name)) for name in ("velocity", "force")),
         *(ctypes.byref(model_tables()), len(t), *(array.ctypes.data for array in given)),
-        *(_stride(given[-1]), *(array.ctypes.data for array in found)),
+        *(stride, *(array.ctypes.data for array in found)),
     )
     require_memory(done)
     return found[0], found[1], found[2]
@@ -108,7 +109,3 @@ def bounded(programs: Equations, tables: BoundTables, pieces: Pieces) -> np.ndar
     )
     require_memory(done)
     return found.astype(bool)
-
-
-def _stride(parameters: np.ndarray) -> int:
-    return int(parameters.shape[1]) if parameters.ndim == 2 else 0

@@ -278,7 +278,9 @@ class Graph:
         """A function; ``of`` is its subexpression if the function is not smooth everywhere."""
         place = self._add(name, *arguments)
         if of is not None and place not in self._comments:
-            self._comments[place] = _shortened(str(of))
+            text = str(of)
+            fits = len(text) <= _LONGEST_COMMENT
+            self._comments[place] = text if fits else text[: _LONGEST_COMMENT - 3] + "..."
         return place
 
     def _translated(self, expression: sympy.Expr) -> int:
@@ -432,7 +434,3 @@ class Graph:
             return f"{operand(0, _MUL)}*{operand(1, _ATOM)}", _MUL
         arguments = ", ".join(texts[place][0] for place in node.arguments)
         return f"{self._arithmetic}.{node.kind}({arguments})", _ATOM
-
-
-def _shortened(text: str) -> str:
-    return text if len(text) <= _LONGEST_COMMENT else text[: _LONGEST_COMMENT - 3] + "..."

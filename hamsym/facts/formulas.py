@@ -80,23 +80,20 @@ def _equations(equations: Equations) -> Facts:
 
 def _invariant(found: Invariant) -> Facts:
     headline = f"conserved, of degree {found.degree}"
+    held = ", ".join(f"{name} = {value!r}" for name, value in found.holds_for.items())
     if not found.independent:
         headline += ", a function of H and the invariants before it"
     return Facts(
         "Invariant",
         headline,
         formulas=(Formula("", found.expr, found.formula),),
-        given=(Fact("holds_for", "holds for", dict(found.holds_for), _values(found)),),
+        given=(Fact("holds_for", "holds for", dict(found.holds_for), held),),
         entries=(
             Fact("formula", value=found.formula),
             Fact("degree", value=found.degree),
             Fact("independent", value=found.independent),
         ),
     )
-
-
-def _values(found: Invariant) -> str:
-    return ", ".join(f"{name} = {value!r}" for name, value in found.holds_for.items())
 
 
 def _invariants(found: Invariants) -> Facts:

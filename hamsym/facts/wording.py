@@ -133,7 +133,12 @@ def given_of(result: Any, varied: Any = ()) -> tuple[Fact, ...]:
     - varied: Names of parameters that differ, with their values where these are known.
     """
     H, ranges = result.H, varied if isinstance(varied, Mapping) else {}
-    facts = [*problem_facts(H, tuple(varied)), *ranges_facts(ranges)]
+    facts = [*problem_facts(H, tuple(varied))]
+    facts += [
+        Fact("", name, None, f"{number(own.min())} to {number(own.max())}")
+        for name, own in ranges.items()
+        if own.size
+    ]
     if span := getattr(result, "span", None):
         facts.append(span_fact(span, H.units.get("t", "")))
     if method := getattr(result, "method", ""):
@@ -176,15 +181,6 @@ def units_of(H: Hamiltonian) -> Column:
 def time_fact(seconds: float) -> Fact:
     """The run time; without a text if it is not known."""
     return Fact("seconds", "time", seconds, "" if math.isnan(seconds) else seconds_text(seconds))
-
-
-def ranges_facts(parameters: Mapping[str, np.ndarray]) -> list[Fact]:
-    """The smallest and largest values of parameters that vary."""
-    return [
-        Fact("", name, None, f"{number(own.min())} to {number(own.max())}")
-        for name, own in parameters.items()
-        if own.size
-    ]
 
 
 def energy_unit(H: Hamiltonian) -> str:

@@ -75,12 +75,7 @@ class Box:
             raise ValueError("its box has components of z0 after parameters")
         if sorted([*components, *self.fixed, *self.expressions]) != sorted(self.H.names):
             raise ValueError("its box does not give every component of z0 once")
-        used = {
-            canonical_name(symbol.name)
-            for text in self.expressions.values()
-            for symbol in parse_expression(text).free_symbols
-        }
-        known = {*map(canonical_name, self.H.parameter_names), *used}
+        known = {*map(canonical_name, self.H.parameter_names), *_names_in(self.expressions)}
         if not {*map(canonical_name, self.parameters)} <= known:
             raise ValueError("its box varies what neither H nor an expression contains")
         self.states(self.at(np.zeros((1, len(self)))))  # raises for expressions of other symbols
@@ -266,11 +261,7 @@ def checked_box(H: HamiltonianLike, z0: Any, parameters: Mapping[Any, Any] | Non
     own = {canonical_name(name): name for name in H.parameter_names}
     numbers: dict[str, float] = {}
     varied: dict[str, tuple[float, float]] = {}
-    used = {
-        canonical_name(symbol.name)
-        for text in expressions.values()
-        for symbol in parse_expression(text).free_symbols
-    }
+    used = _names_in(expressions)
     for key, value in checked_mapping("parameters", parameters, '{"k": (0.5, 2)}').items():
         name = own.get(canonical_name(name_of(key)), name_of(key))
         if canonical_name(name) not in own and canonical_name(name) not in used:
@@ -304,6 +295,12 @@ def checked_box(H: HamiltonianLike, z0: Any, parameters: Mapping[Any, Any] | Non
     box = Box(H, names, ends[:, 0].copy(), ends[:, 1].copy(), fixed, expressions)
     box.check()  # raises for symbols that do not vary
     return box
+
+
+def _names_in(expressions: Mapping[str, str]) -> set[str]:
+    """Return the names in expressions, spelled out."""
+    found = (parse_expression(text).free_symbols for text in expressions.values())
+    return {canonical_name(symbol.name) for symbols in found for symbol in symbols}
 
 
 def _by_component(z0: Any, names: Sequence[str]) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from hamsym.errors import InputError
 from hamsym.families.solutions import Solutions
 from hamsym.flow_maps.box import Box
 from hamsym.flow_maps.domain import Domain, box_domain, image_domain, random_places, split_domain
-from hamsym.flow_maps.expansion import Chain, Split
+from hamsym.flow_maps.expansion import Chain, Leg, Split
 from hamsym.flow_maps.legs import FailedError, LegBuilder
 from hamsym.flow_maps.time_order import ended
 
@@ -115,9 +115,7 @@ class Builder:
             horizon = edges[-1] + 2 * (edges[-1] - starts[-1])
             if not abs(horizon - begin) < abs(end - begin):
                 horizon = end
-            domain = image_of(
-                maps[-1], trial.domain, edges[-1], self._box, self._scale, self._random
-            )
+            domain = self._image(maps[-1], trial.domain, edges[-1])
             starts.append(edges[-1])
         kept = np.arange(dim, len(domain))
         whole = maps[0] if len(maps) == 1 else Chain(maps, np.array(starts[1:]), kept)
@@ -147,20 +145,13 @@ class Builder:
         inputs = domain.at(y)
         return self._solve(domain.states(inputs), domain.values(inputs), span)
 
-
-def image_of(
-    map: Any, domain: Domain, time: float, box: Box, scale: np.ndarray, random: np.random.Generator
-) -> Domain:
-    """Return a domain around the states of a map over a domain at a time.
-
-    - domain: All components of the state are inputs of it.
-    - scale: Sizes of the components, shape (dim,).
-    """
-    d, dim = len(domain), box.H.dim
-    y = random_places(random, _IMAGE, d, _AT_END)
-    corners = random.choice((-1.0, 1.0), (_CORNERS, d))
-    inputs = domain.at(np.concatenate((corners, y)))
-    states = map.evaluate(np.full(len(inputs), time), inputs)
-    of_H = set(box.H.parameter_names)
-    names = tuple(name if name in of_H else "" for name in box.parameters)
-    return image_domain(np.column_stack((states, inputs[:, dim:])), names, scale)
+    def _image(self, leg: Leg, domain: Domain, time: float) -> Domain:
+        """Return a domain around the states of a leg at a time; all components are its inputs."""
+        d, H = len(domain), self._box.H
+        y = random_places(self._random, _IMAGE, d, _AT_END)
+        corners = self._random.choice((-1.0, 1.0), (_CORNERS, d))
+        inputs = domain.at(np.concatenate((corners, y)))
+        states = leg.evaluate(np.full(len(inputs), time), inputs)
+        of_H = set(H.parameter_names)
+        names = tuple(name if name in of_H else "" for name in self._box.parameters)
+        return image_domain(np.column_stack((states, inputs[:, H.dim :])), names, self._scale)

@@ -28,6 +28,7 @@ from hamsym.flow_maps.narrow_places import narrow_places
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.collocation import collocation
 from hamsym.numerics.linear_systems import solved
+from hamsym.numerics.symplectic import poisson_matrix
 from hamsym.support.record_fields import AnyFloat, Count, floats
 
 _MARGIN = 1.5  # times the largest error found
@@ -252,8 +253,7 @@ def _symplecticity(
     times = random.uniform(min(span), max(span), len(inputs))
     times[0] = span[1]
     matrices = map.derivatives(times, inputs)[2][:, :, :dim]
-    J = np.zeros((dim, dim))
-    J[:dof, dof:], J[dof:, :dof] = np.eye(dof), -np.eye(dof)
+    J = poisson_matrix(dof)
     defect = np.swapaxes(matrices, 1, 2) @ J @ matrices - J
     # In units of the components, an entry is an action; that of its pair is the unit.
     action = np.tile(scale[:dof] * scale[dof:], 2)

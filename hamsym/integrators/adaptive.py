@@ -112,14 +112,11 @@ def _rates(H: Hamiltonian) -> Callable[[float, np.ndarray], np.ndarray]:
 def _absolute_tolerance(
     H: Hamiltonian, z0: np.ndarray, span: tuple[float, float], rtol: float
 ) -> np.ndarray:
-    """Absolute tolerance that takes effect only near zeros of a component, shape (dim,)."""
-    return 0.01 * rtol * _magnitudes(H, z0, span)
+    """Absolute tolerance that takes effect only near zeros of a component, shape (dim,).
 
-
-def _magnitudes(H: Hamiltonian, z0: np.ndarray, span: tuple[float, float]) -> np.ndarray:
-    """Typical magnitudes of coordinates and momenta on a trajectory of low accuracy, shape (dim,).
-
-    The median over time, so that an escape at the end does not set the scale of the motion before.
+    It is a part of typical magnitudes of coordinates and momenta on a trajectory of low accuracy:
+    of the median over time, so that an escape at the end does not set the scale of the motion
+    before.
     """
     halves = np.abs(z0).reshape(2, -1).max(axis=1)
     # A half of the state that is zero at the start grows to about its rate times the span.
@@ -131,7 +128,8 @@ def _magnitudes(H: Hamiltonian, z0: np.ndarray, span: tuple[float, float]) -> np
     states = np.array(rough.y, dtype=float).reshape(2, H.dof, -1)
     found = np.median(np.abs(states).max(axis=1), axis=1) if states.size else halves
     usable = np.isfinite(found) & (found > 0)
-    return np.asarray(np.where(usable, found, guess[:: H.dof]).repeat(H.dof))
+    sizes = np.where(usable, found, guess[:: H.dof]).repeat(H.dof)
+    return np.asarray(0.01 * rtol * sizes)
 
 
 def _dop853(

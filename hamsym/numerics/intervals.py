@@ -129,15 +129,15 @@ def _increasing(
     derivative: Callable[[Intervals], Intervals],
     lowest: float = -math.inf,
     highest: float = math.inf,
-) -> Callable[[Ranges], Ranges]:
-    """A function that increases between two numbers and is unknown beyond."""
+) -> Any:
+    """A method that increases between two numbers and is unknown beyond."""
 
     def apply(x: Ranges) -> Ranges:
         low, high = x.within
         within = _known(function(low), function(high), (low >= lowest) & (high <= highest))
         return Ranges(function(x.ends), within, derivative(x.within) * x.slope, x.width)
 
-    return apply
+    return staticmethod(apply)
 
 
 def _root(x: Intervals) -> Intervals:
@@ -205,24 +205,16 @@ class RangeArithmetic:
 
     pi, e = Ranges.constant(math.pi), Ranges.constant(math.e)
 
-    exp = staticmethod(_increasing(np.exp, lambda x: _known(np.exp(x.low), np.exp(x.high))))
-    log = staticmethod(_increasing(np.log, Intervals.reciprocal, 0.0))
-    sinh = staticmethod(_increasing(np.sinh, lambda x: _even(x, np.cosh)))
-    tanh = staticmethod(_increasing(np.tanh, lambda x: _even(x, np.cosh).square().reciprocal()))
-    asinh = staticmethod(
-        _increasing(np.arcsinh, lambda x: _root(_shifted(1, x.square())).reciprocal())
-    )
-    atan = staticmethod(_increasing(np.arctan, lambda x: _shifted(1, x.square()).reciprocal()))
-    asin = staticmethod(
-        _increasing(np.arcsin, lambda x: _root(_shifted(-1, x.square())).reciprocal(), -1.0, 1.0)
-    )
-    atanh = staticmethod(
-        _increasing(np.arctanh, lambda x: _shifted(-1, x.square()).reciprocal(), -1.0, 1.0)
-    )
-    erf = staticmethod(_increasing(_error_function, _bell))
-    root = staticmethod(
-        _increasing(np.sqrt, lambda x: Ranges.constant(0.5).within * _root(x).reciprocal(), 0.0)
-    )
+    exp = _increasing(np.exp, lambda x: _known(np.exp(x.low), np.exp(x.high)))
+    log = _increasing(np.log, Intervals.reciprocal, 0.0)
+    sinh = _increasing(np.sinh, lambda x: _even(x, np.cosh))
+    tanh = _increasing(np.tanh, lambda x: _even(x, np.cosh).square().reciprocal())
+    asinh = _increasing(np.arcsinh, lambda x: _root(_shifted(1, x.square())).reciprocal())
+    atan = _increasing(np.arctan, lambda x: _shifted(1, x.square()).reciprocal())
+    asin = _increasing(np.arcsin, lambda x: _root(_shifted(-1, x.square())).reciprocal(), -1, 1)
+    atanh = _increasing(np.arctanh, lambda x: _shifted(-1, x.square()).reciprocal(), -1, 1)
+    erf = _increasing(_error_function, _bell)
+    root = _increasing(np.sqrt, lambda x: Ranges.constant(0.5).within * _root(x).reciprocal(), 0)
 
     @staticmethod
     def number(numerator: int, denominator: int = 1) -> Ranges:

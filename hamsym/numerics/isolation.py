@@ -167,18 +167,13 @@ def isolated_zeros(
         undecided = len(cells)
     elif len(cells):
         cells, touched = _joined(cells)
-    crossed = _crossed(Cells.of_parts(monotonic), np.concatenate(slopes))
-    parts = [_brackets(each, direction) for each in (crossed, cells)]
-    low, high, index = (np.concatenate(column) for column in zip(*parts, strict=True))
-    share = refine(lambda x, k: value(x, index[k]), low, high)
-    order = np.lexsort((share, index))
+    monotonous = _crossed(Cells.of_parts(monotonic), np.concatenate(slopes))
+    both = Cells.of_parts([monotonous, cells])
+    crossed = both[changes(both.values[0], both.values[1], direction)]
+    share = refine(lambda x, k: value(x, crossed.index[k]), crossed.low, crossed.high)
+    order = np.lexsort((share, crossed.index))
     order = order[np.isfinite(share[order])]
-    return Isolated(share[order], index[order], touched, undecided)
-
-
-def _brackets(cells: Cells, direction: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    crossed = changes(cells.values[0], cells.values[1], direction)
-    return cells.low[crossed], cells.high[crossed], cells.index[crossed]
+    return Isolated(share[order], crossed.index[order], touched, undecided)
 
 
 def _crossed(cells: Cells, slopes: np.ndarray) -> Cells:

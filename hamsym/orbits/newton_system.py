@@ -14,7 +14,6 @@ import numpy as np
 import scipy
 import sympy
 
-from hamsym.hamiltonian import Hamiltonian
 from hamsym.orbits.arc import Arc, Problem
 from hamsym.orbits.condensed import CondensedWindows, solved
 from hamsym.orbits.integrals import Slice
@@ -85,7 +84,9 @@ class NewtonSystem:
             excess = precise_energy(problem.H, arc.precise.ends[0]) - problem.energy
             by_parameter = 0.0
             if problem.parameter is not None:
-                by_parameter = _energy_slope(problem.H, problem.parameter, arc.ends[0])
+                real = problem.H.real_equations
+                slope = sympy.diff(real.expr, real.parameters[problem.parameter][0])
+                by_parameter = float(problem.H.observable(slope)(arc.ends[0]))
             slope = np.asarray(system.gradient(arc.ends[0]))
             self._add(slope, float(excess.high), by_parameter)
         self._unknown = np.ones(2 * dim + self._numbers, dtype=bool)
@@ -239,13 +240,6 @@ class NewtonSystem:
             condition,
             windows.ends[..., :dim],
         )
-
-
-def _energy_slope(H: Hamiltonian, parameter: str, state: np.ndarray) -> float:
-    """The derivative of H by a parameter."""
-    real = H.real_equations
-    slope = sympy.diff(real.expr, real.parameters[parameter][0])
-    return float(H.observable(slope)(state))
 
 
 def _largest(rows: np.ndarray) -> np.ndarray:

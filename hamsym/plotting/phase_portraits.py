@@ -16,19 +16,6 @@ _LEVELS = 9
 _GRID = 241
 
 
-def energies_on_grid(
-    H: Hamiltonian, x: str, y: str, x_values: np.ndarray, y_values: np.ndarray
-) -> np.ndarray:
-    """Return H of one degree of freedom on a grid, shape (len(y_values), len(x_values)).
-
-    It is nan where H is not finite.
-    """
-    columns = dict(zip((x, y), np.meshgrid(x_values, y_values), strict=True))
-    z = np.stack([columns[name] for name in H.names], axis=-1)
-    values = H.compile("numpy").at("energy", z, np.zeros(z.shape[:-1]))
-    return np.where(np.isfinite(values), np.broadcast_to(values, z.shape[:-1]), np.nan)
-
-
 def draw_levels(axes: Axes, H: Hamiltonian, x: str, y: str, own: float | None = None) -> list[Any]:
     """Draw labelled level sets of H within the limits of axes; return sentences for the caption.
 
@@ -38,7 +25,10 @@ def draw_levels(axes: Axes, H: Hamiltonian, x: str, y: str, own: float | None = 
     """
     limits = axes.get_xlim(), axes.get_ylim()
     sides = [np.linspace(*limit, _GRID) for limit in limits]
-    values = energies_on_grid(H, x, y, *sides)
+    columns = dict(zip((x, y), np.meshgrid(*sides), strict=True))
+    z = np.stack([columns[name] for name in H.names], axis=-1)
+    energy = H.compile("numpy").at("energy", z, np.zeros(z.shape[:-1]))
+    values = np.where(np.isfinite(energy), np.broadcast_to(energy, z.shape[:-1]), np.nan)
     finite = values[np.isfinite(values)]
     if not finite.size or not np.ptp(finite) > 0:
         return ["H has no level sets in this part of the phase plane"]

@@ -179,7 +179,9 @@ class _Marching:
             elif resting:
                 reason = REST
             elif status == loops.FULL and not (reason := self._too_many()):
-                self._grow()
+                if self._count == self._windows.room:
+                    self._windows.grow(min(2 * self._count, self._max_windows))
+                self._widen_floors()
         windows = self._windows.part(0, self._count)
         return March(
             edges=windows.edges.copy(),
@@ -274,13 +276,6 @@ class _Marching:
         if count >= self._max_windows or (count >= _SURE and needed > 10 * self._max_windows):
             return f"the span needs about {needed:.0e} windows, more than {self._max_windows:,}"
         return ""
-
-    def _grow(self) -> None:
-        """Make room for more windows."""
-        count = self._count
-        if count == self._windows.room:
-            self._windows.grow(min(2 * count, self._max_windows))
-        self._widen_floors()
 
     def _widen_floors(self) -> None:
         """Update the smallest sizes of the components from their coupling to the others."""

@@ -186,7 +186,10 @@ class Solution(Saved):
         InputError
             If a time is outside the span, unless ``extrapolate=True``.
         """
-        return self._state(t, extrapolate)
+        if is_tensor(t):
+            return self.evaluate(t, extrapolate=extrapolate)[0]
+        times = times_in_span(t, self.span, extrapolate=extrapolate)
+        return evaluate_in_parts(lambda part: (self.trial.states_at(part),), times)[0]
 
     @overload
     def derivative(self, t: Tensor, *, extrapolate: bool = False) -> Tensor: ...
@@ -332,12 +335,6 @@ class Solution(Saved):
     @cached_property
     def _work(self) -> Work:
         return Work(self, self.record.edges, self.record.origin)
-
-    def _state(self, t: Any, extrapolate: bool) -> Any:
-        if is_tensor(t):
-            return self.evaluate(t, extrapolate=extrapolate)[0]
-        times = times_in_span(t, self.span, extrapolate=extrapolate)
-        return evaluate_in_parts(lambda part: (self.trial.states_at(part),), times)[0]
 
     def evaluate(self, t: Any, *, extrapolate: bool = False) -> tuple[Any, Any]:
         """Return the state and its time derivative; shapes as for the state."""

@@ -97,21 +97,16 @@ class ExactDerivatives:
 
         Without forces they are the third derivatives of H, i <= j <= k.
         """
-        if self.forces:
-            return {
-                (i, j, k): slope
-                for (i, j), entry in self.curvature.items()
-                for k, slope in enumerate(derivatives.gradient(entry, self._z, self._effort))
-                if k >= j and slope != 0
-            }
-        effort = derivatives.Effort(self.expr)
-        found = {}
-        for (i, j), entry in self.hessian.items():
-            slopes = derivatives.gradient(entry, self._z, effort) if i <= j else []
-            for k, slope in enumerate(slopes):
-                if k >= j and slope != 0:
-                    found[i, j, k] = slope
-        return found
+        entries, effort = self.curvature, self._effort
+        if not self.forces:
+            entries = {(i, j): entry for (i, j), entry in self.hessian.items() if i <= j}
+            effort = derivatives.Effort(self.expr)
+        return {
+            (i, j, k): slope
+            for (i, j), entry in entries.items()
+            for k, slope in enumerate(derivatives.gradient(entry, self._z, effort))
+            if k >= j and slope != 0
+        }
 
     def rounded(self, expr: sympy.Expr) -> sympy.Expr:
         """Insert the floating-point numbers into an expression, with sympy's rounding."""

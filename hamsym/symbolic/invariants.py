@@ -272,17 +272,13 @@ class _Search:
         """Weights of the variables for which the equations are homogeneous."""
         found = []
         for grading in self._ring.gradings():
-            weights = [self._weight(element, grading) for element in self._elements]
-            if None not in weights:
-                found.append([int(weight or 0) for weight in weights])
+            sums = [
+                {sum(e * w for e, w in zip(exponents, grading, strict=True)) for exponents in each}
+                for each in self._elements
+            ]
+            if all(len(own) == 1 for own in sums):
+                found.append([own.pop() for own in sums])
         return found
-
-    @staticmethod
-    def _weight(element: PolyElement, grading: Sequence[int]) -> int | None:
-        weights = {
-            sum(e * w for e, w in zip(exponents, grading, strict=True)) for exponents in element
-        }
-        return weights.pop() if len(weights) == 1 else None
 
     # -- one homogeneous part ----------------------------------------------------------------
 

@@ -192,14 +192,11 @@ def _around(middle: Fraction, radius: Fraction) -> Ball:
     return Ball(*_nearest(middle, radius))
 
 
-def _numbers_of(ball: Ball) -> tuple[np.ndarray, np.ndarray]:
-    return np.asarray(ball.mid, dtype=float), np.asarray(ball.radius, dtype=float)
-
-
-def _of_numbers(numbers: tuple[np.ndarray, np.ndarray]) -> Ball:
-    return Ball(*(part if part.ndim else part.item() for part in numbers))
-
-
 _MID = Annotated[np.ndarray, floats("*axes")]
 _RADIUS = Annotated[np.ndarray, floats("*axes", finite=False, least=0)]
-convert(Ball, tuple[_MID, _RADIUS], _numbers_of, _of_numbers)
+convert(
+    Ball,
+    tuple[_MID, _RADIUS],
+    lambda ball: tuple(np.asarray(part, dtype=float) for part in (ball.mid, ball.radius)),
+    lambda numbers: Ball(*(part if part.ndim else part.item() for part in numbers)),
+)
