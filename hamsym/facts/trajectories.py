@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -53,7 +53,7 @@ def _headline(trajectory: Trajectory) -> str:
     name, worst = trajectory.names[place], float(found.largest.max())
     if not math.isfinite(worst):
         return f"the error is not known, in {name}"
-    error = _flat(trajectory, trajectory.largest_error)[member, place]
+    error = trajectory.ensemble.flat(trajectory.largest_error)[member, place]
     where = f" of trajectory {member:,}" if len(trajectory.ensemble) > 1 else ""
     return (
         f"largest estimated error {trajectory.H.quantity(name, error)} in {name}{where}, "
@@ -76,26 +76,20 @@ def _worst(trajectory: Trajectory) -> tuple[int, int]:
     if trajectory.verdicts is None:
         return 0, 0
     member = int(np.argmax(trajectory.verdicts.largest))
-    errors = _flat(trajectory, trajectory.largest_error)[member]
+    errors = trajectory.ensemble.flat(trajectory.largest_error)[member]
     with np.errstate(all="ignore"):
-        sizes = np.nan_to_num(np.abs(_flat(trajectory, trajectory.z)[member])).max(axis=0)
+        sizes = np.nan_to_num(np.abs(trajectory.ensemble.flat(trajectory.z)[member])).max(axis=0)
     return member, int(np.argmax(ratios(errors, sizes)))
-
-
-def _flat(trajectory: Trajectory, values: Any) -> np.ndarray:
-    """An array of an ensemble with its members along one axis."""
-    shape = trajectory.ensemble.shape
-    return np.asarray(values).reshape(len(trajectory.ensemble), *np.shape(values)[len(shape) :])
 
 
 def _ends(trajectory: Trajectory) -> Table:
     """The states at both ends of one trajectory."""
     H, count, number = trajectory.H, len(trajectory.ensemble), _worst(trajectory)[0]
-    z, energy = (_flat(trajectory, own)[number] for own in (trajectory.z, trajectory.energy))
+    z, energy = (trajectory.ensemble.flat(own)[number] for own in (trajectory.z, trajectory.energy))
     errors = trajectory.largest_error
     own = [""] * H.dim
     if errors is not None:
-        own = [error_text(value) for value in _flat(trajectory, errors)[number]]
+        own = [error_text(value) for value in trajectory.ensemble.flat(errors)[number]]
     start, end = ([trajectory.t[k], *z[k], energy[k]] for k in (0, -1))
     units = [H.units.get(name, "") for name in ("t", *H.names)]
     title = f"{count:,} trajectories, number {number:,} of them:" if count > 1 else ""
@@ -116,14 +110,14 @@ def _ends(trajectory: Trajectory) -> Table:
 def _conserved(trajectory: Trajectory) -> Sequence[Fact]:
     """How well H is kept, and each trajectory on its own."""
     H, count = trajectory.H, len(trajectory.ensemble)
-    z = _flat(trajectory, trajectory.z)
+    z = trajectory.ensemble.flat(trajectory.z)
     with np.errstate(all="ignore"):
-        drifts = np.abs(_flat(trajectory, trajectory.energy_drift))
+        drifts = np.abs(trajectory.ensemble.flat(trajectory.energy_drift))
         # Rows after the end of a trajectory are nan and are ignored; nan of H at a state is not.
         largest = np.where(np.isnan(z).any(axis=-1), -np.inf, drifts).max(axis=-1)
     success = np.broadcast_to(trajectory.success, trajectory.ensemble.shape).ravel()
     errors = trajectory.largest_error
-    errors = None if errors is None else _flat(trajectory, errors)
+    errors = None if errors is None else trajectory.ensemble.flat(errors)
     each = [
         {
             "success": bool(success[k]),

@@ -103,7 +103,7 @@ def _resolved(
 ) -> tuple[np.ndarray, np.ndarray, str]:
     """Return times and states to draw, between few saved ones, and a sentence if they are few."""
     members, t = trajectory.ensemble, trajectory.t
-    z = _flat(trajectory.z, trajectory, 2)[chosen]
+    z = trajectory.ensemble.flat(trajectory.z)[chosen]
     values = members.own_parameters(chosen)
     saved = with_formulas(z, t, formulas, values)
     if len(t) < 2:
@@ -123,15 +123,10 @@ def _resolved(
     return (dense, states, apart) if len(t) < len(dense) else (t, saved, "")
 
 
-def _flat(values: np.ndarray, trajectory: Trajectory, kept: int) -> np.ndarray:
-    """Return an array of an ensemble with its members along one axis."""
-    return values.reshape(len(trajectory.ensemble), *values.shape[values.ndim - kept :])
-
-
 def _draw_energy(axes: Axes, trajectory: Trajectory, motion: Motion, chosen: np.ndarray) -> None:
     """Draw the change of H, less the work of forces and explicit time."""
     with np.errstate(all="ignore"):
-        change = np.abs(_flat(trajectory.energy_drift, trajectory, 1)[chosen])
+        change = np.abs(trajectory.ensemble.flat(trajectory.energy_drift)[chosen])
     log_lines(axes, trajectory.t, motion.curves(change), unknown="")
     name_energy_error(axes, motion.H)
 
@@ -139,9 +134,9 @@ def _draw_energy(axes: Axes, trajectory: Trajectory, motion: Motion, chosen: np.
 def _draw_error(axes: Axes, trajectory: Trajectory, motion: Motion, chosen: np.ndarray) -> None:
     """Draw the estimated error, the largest of the components relative to their sizes."""
     assert trajectory.errors is not None
-    errors = _flat(trajectory.errors, trajectory, 2)[chosen]
+    errors = trajectory.ensemble.flat(trajectory.errors)[chosen]
     with np.errstate(all="ignore"):
-        states = _flat(trajectory.z, trajectory, 2)[chosen]
+        states = trajectory.ensemble.flat(trajectory.z)[chosen]
         sizes = np.nanmax(np.abs(states), axis=1, keepdims=True)
         ratios = np.where(errors == 0, 0.0, errors / np.where(sizes > 0, sizes, np.nan))
         largest = np.nanmax(ratios, axis=-1)

@@ -61,6 +61,10 @@ class Ensemble:
         names = self.H.parameter_names
         return {name: self.parameters[:, names.index(name)] for name in self.varied}
 
+    def flat(self, values: Any) -> np.ndarray:
+        """Return an array of the shape of the ensemble and more axes with its members along one."""
+        return np.asarray(values).reshape(len(self), *np.shape(values)[len(self.shape) :])
+
     def hamiltonian(self, index: int) -> Hamiltonian:
         """Return H with the parameter values of one member."""
         if not self.varied:
