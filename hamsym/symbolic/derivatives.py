@@ -344,14 +344,29 @@ def vanishes(expr: sympy.Expr) -> bool:
 
 def is_zero_at_random_points(expr: sympy.Expr) -> bool:
     """Whether an expression is zero to 20 digits at three random points, or has no value there."""
+    return not any(value.is_Float and abs(value) > 1e-20 for value in _random_values(expr))
+
+
+def may_vanish(expr: sympy.Expr) -> bool:
+    """Whether no digit of an expression is known at three random points, in whatever units.
+
+    Examples
+    --------
+    >>> x = sympy.Symbol("x", real=True)
+    >>> may_vanish(sympy.atan(x) + sympy.atan(1 / x) - sympy.pi / 2), may_vanish(x / 10**40)
+    (True, False)
+    """
+    parts = (part for value in _random_values(expr) for part in value.as_real_imag())
+    # Sympy gives one bit to what it cannot tell from zero.
+    return not any(part.is_Float and part != 0 and part._prec > 1 for part in parts)
+
+
+def _random_values(expr: sympy.Expr) -> Iterator[sympy.Expr]:
     generator = random.Random(0)
     symbols = sorted(expr.free_symbols, key=str)
     for _ in range(3):
         point = {symbol: sympy.Rational(generator.randint(1, 999), 500) for symbol in symbols}
-        value = expr.xreplace(point).evalf(30)
-        if value.is_Float and abs(value) > 1e-20:
-            return False
-    return True
+        yield expr.xreplace(point).evalf(30)
 
 
 def _cancels(expr: sympy.Expr) -> bool:

@@ -58,6 +58,8 @@ def is_proven(
     >>> is_proven(p**2 + (1 + sympy.Float(1e-12)) * x**2, p**2 / 2 + x**2 / 2, z, None)
     False
     """
+    if _is_piecewise_constant(f, z) or _divides_by_zero(f):
+        return False
     try:
         known = DifferentialRing(H, z, time, [f])
     except UnsupportedFunctionError:
@@ -71,7 +73,7 @@ def is_conserved(
     """Whether f is constant along every trajectory: {f, H} + F . df/dp + df/dt = 0.
 
     As long as f is smooth there: atan(p/x) jumps where x is zero. Functions that are nothing but
-    steps are refused.
+    steps, as abs(x)/x, are refused, and those with a denominator that is identically zero.
 
     - f, time: In real symbols; the time must be given if f or H contains it.
     - every: Parameters for all values of which that must hold, not only for those they have.
@@ -90,10 +92,27 @@ def is_conserved(
         # Points first: most functions are not conserved. Sympy's simplification last: it is slow,
         # and it is needed for functions without exact rules only.
         if derivatives.is_zero_at_random_points(rate) and (
-            (not forces and is_proven(own, H, equations.z, time)) or derivatives.vanishes(rate)
+            (not forces and is_proven(own, H, equations.z, time))
+            or (
+                derivatives.vanishes(rate)
+                and not _is_piecewise_constant(own, equations.z)
+                and not _divides_by_zero(own)
+            )
         ):
             return True
     return False
+
+
+def _is_piecewise_constant(f: sympy.Expr, z: Sequence[sympy.Symbol]) -> bool:
+    """Whether the gradient of a function of the state may be zero everywhere."""
+    own = f.free_symbols.intersection(z)
+    return bool(own) and all(derivatives.may_vanish(sympy.diff(f, symbol)) for symbol in own)
+
+
+def _divides_by_zero(f: sympy.Expr) -> bool:
+    """Whether a denominator may be zero everywhere."""
+    powers = (power for power in f.atoms(sympy.Pow) if power.exp.could_extract_minus_sign())
+    return any(derivatives.may_vanish(power.base) for power in powers)
 
 
 def suggested_basis(H: sympy.Expr, z: Sequence[sympy.Symbol]) -> list[sympy.Expr]:
