@@ -426,7 +426,8 @@ class Hamiltonian(SymbolicHamiltonian):
             Names of the new variables; by default the further names in the formulas, and ``p_r``
             for ``r``.
         positive : str or sequence of str
-            New variables that stay above zero, so that sqrt(r**2) is r.
+            New variables that stay above zero, so that sqrt(r**2) is r; ``to_old`` refuses states
+            in which they are not.
         F1, F2, F3, F4 : str or sympy.Expr, optional
             A generating function of (q, Q), (q, P), (p, Q) or (p, P) in place of formulas.
 

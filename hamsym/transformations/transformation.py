@@ -54,7 +54,8 @@ class Transformation(Shown):
     formulas : mapping of str to sympy.Expr
         Each old variable, of those that change, in the new variables.
     positive : tuple of str
-        New variables that stay above zero: H holds only there.
+        New variables that stay above zero: H holds only there. Trajectories of H are not stopped
+        where they leave it, but :meth:`to_old` refuses them.
     """
 
     H: Hamiltonian
@@ -80,6 +81,11 @@ class Transformation(Shown):
         numpy.ndarray
             Shape (..., dim), in the order of ``original.z``.
 
+        Raises
+        ------
+        InputError
+            If a variable that is positive is not: H does not hold for what led there.
+
         Examples
         --------
         >>> import hamsym
@@ -91,6 +97,13 @@ class Transformation(Shown):
         True
         """
         states = self.H.states_from(z)
+        for name in self.positive:
+            least = np.min(states[..., self.H.names.index(name)], initial=np.inf)
+            if not least > 0:
+                raise InputError(
+                    f"{name} is {least:g}, and the new H holds only while it is above zero; give "
+                    "states before it gets there"
+                )
         times = _times(t, states.shape[:-1])
         return self._values(states, times)
 

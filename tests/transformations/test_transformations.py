@@ -60,6 +60,22 @@ CASES: list[tuple[Hamiltonian, dict[str, Any], dict[str, Any], list[float]]] = [
 MARKED = [pytest.param(*case, marks=[pytest.mark.slow] * (k == 1)) for k, case in enumerate(CASES)]
 
 
+def test_states_where_a_positive_variable_is_not_have_no_old_ones() -> None:
+    # |(x, y)|**3 is written r**3: behind the axis it attracts to minus infinity
+    H = Hamiltonian("(p_x**2 + p_y**2)/2 + sqrt(x**2 + y**2)**3")
+    polar = H.transformed(POLAR, positive="r")
+    fall = hamsym.solve(polar.H, polar.to_new([1.0, 0, 0, 0]), (0, 2.5))
+    times = np.linspace(0, 2.5, 50)
+    before = polar.to_old(fall(times[:20]))
+    exact = hamsym.solve(Hamiltonian("p**2/2 + x**3"), [1.0, 0], (0, 2.5))(times[:20])
+    assert np.abs(before[:, [0, 2]] - exact).max() < 1e-8
+    after = fall(2.5)
+    after[polar.H.names.index("r")] = 0.0
+    for states in (fall(2.5), fall(times), after):
+        with pytest.raises(InputError, match="r is .*only while it is above zero"):
+            polar.to_old(states)
+
+
 @pytest.mark.parametrize(("H", "formulas", "options", "z0"), MARKED)
 def test_motion_is_the_same_on_both_sides(
     H: Hamiltonian, formulas: dict[str, Any], options: dict[str, Any], z0: list[float]
