@@ -4,7 +4,8 @@ The orbits of a conservative H with one symmetry form curves. From an orbit, the
 for at a given distance along the tangent of its curve, in the space of states and period (and a
 parameter), where the curve has no folds (Keller 1977). The distance grows after an orbit that was
 found and shrinks after one that was not, or that is too unlike its neighbour. Bifurcations are sign
-changes of test functions between neighbours, located by Brent's method.
+changes of test functions between neighbours, located by Brent's method. Where the parabola through
+three neighbours comes near zero and turns, the extremum is searched: two changes may be beside it.
 """
 
 from __future__ import annotations
@@ -15,10 +16,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.optimize import brentq
+from scipy.optimize import brentq, minimize_scalar
 
 from hamsym.orbits.arc import Arc, Problem
 from hamsym.orbits.integrals import slice_of
+from hamsym.orbits.multipliers import differ_from_one
 from hamsym.orbits.newton_system import NewtonSystem
 from hamsym.orbits.orbit import PeriodicOrbit, solved_orbit
 from hamsym.orbits.period import period_of
@@ -32,11 +34,15 @@ _CONSTANT = 1e-10  # relative change of a period that is round-off, per distance
 _SHRUNK = 1e-7  # extent of an orbit, relative to the first one, that counts as an equilibrium
 _LOOSE = 1e-6  # tolerance of orbits that only enclose a bifurcation
 _LOCATED = 1e-9  # distance along the family up to which a bifurcation is located
-
+# Least value of a parabola, relative to its points, at which its extremum is searched, and up to
+# which part of the distance of these.
+_DIP, _EXTREMUM = 0.25, 1e-5
 _REAL = 1e-4  # imaginary part of a multiplier on the unit circle that may be round-off
 
 # Kinds: one that is no bifurcation of the orbits with given energies, and one with forces.
 _PERIOD_FOLD, _TORUS = "fold of the period", "Neimark-Sacker"
+# Kinds at which a multiplier meets 1, or -1.
+_MEETINGS = {"branching": 1, "period doubling": -1, "symmetry breaking": -1}
 
 
 class _LostError(Exception):
@@ -90,6 +96,12 @@ class _Point:
     tangent: np.ndarray
     #: Functions that change sign at bifurcations.
     tests: dict[str, float] = field(default_factory=dict)
+    #: Distance from the first orbit, along the family.
+    place: float = 0.0
+
+
+#: Two points of a family, and their distances from another one.
+_Ends = tuple[tuple[float, _Point], tuple[float, _Point]]
 
 
 class Continuation:
@@ -101,10 +113,13 @@ class Continuation:
         self._problem, self._aim, self._longest, self._tol = problem, aim, longest, tol
         self._step = min(_FIRST, longest)
         self.orbits = [orbit]
-        self.bifurcations: list[Bifurcation] = []
+        #: Bifurcations with their places.
+        self._found: list[tuple[float, Bifurcation]] = []
         self.problem = ""
         self.open = aim.excess(orbit) != 0
         self._here = self._point(orbit, None)
+        #: The neighbour before, and its distance.
+        self._before: tuple[_Point, float] | None = None
         if self.open:
             self._face_the_aim()
 
@@ -119,6 +134,12 @@ class Continuation:
             here.tangent = -here.tangent
             here.tests = _tests(here, self._problem)
 
+    @property
+    def bifurcations(self) -> list[Bifurcation]:
+        """Bifurcations in their order along the family."""
+        ordered = sorted(self._found, key=lambda found: found[0])
+        return [bifurcation for _, bifurcation in ordered]
+
     def advance(self) -> None:
         """Compute the next orbit; shorten the step until it succeeds."""
         here, aim = self._here, self._aim
@@ -128,16 +149,30 @@ class Continuation:
             if there is None or not (_aligned(here, there) and _close(here, there)):
                 self._step *= _CUT
                 continue
-            self._locate(here, there)
-            if aim.excess(here.orbit) * aim.excess(there.orbit) <= 0:
-                self._end(here, there)
+            step, excess = self._step, aim.excess(there.orbit)
+            self.open = aim.excess(here.orbit) * excess > 0
+            if not self.open and excess != 0:
+                ends = (0.0, here), (step, there)
+                (step, there), _ = self._zero(here, ends, lambda each: aim.excess(each.orbit))
+            if not self.open and self._before is None:  # the only step, in two halves
+                middle = self._neighbour(here, step / 2)
+                if middle is not None:
+                    step /= 2
+                    self._before, here = (here, step), self._point(middle, here)
+                    here.place = step
+                    self._locate(self._before[0], here, step)
+            there.place = here.place + step
+            self._locate(here, there, step)
+            self._search_pairs(here, there, step)
+            if not self.open:
+                self._end(there.orbit)
                 return
             self.orbits.append(there.orbit)
             shrunk = not (_extent(there.orbit) > _SHRUNK * _extent(self.orbits[0])).any()
             if shrunk and self._problem.autonomous:
                 self.open, self.problem = False, "the family ends at an equilibrium"
                 return
-            self._here = there
+            self._here, self._before = there, (here, step)
             self._step = min(self._step * _GROWTH, self._longest)
             return
         self.open, self.problem = (
@@ -170,60 +205,135 @@ class Continuation:
             self._problem_of(orbit), orbit.arc, system, change, along, tol or self._tol
         )
 
-    def _locate(self, here: _Point, there: _Point) -> None:
-        """Add the bifurcations between neighbours."""
+    def _locate(self, here: _Point, there: _Point, step: float) -> None:
+        """Add the bifurcations between neighbours, a step from each other."""
         kinds = [
             kind
             for kind, value in here.tests.items()
             if value * there.tests.get(kind, math.nan) < 0
         ]
+        self._add(kinds, here, ((0.0, here), (step, there)), len(self.orbits) - 1)
+
+    def _add(self, kinds: list[str], base: _Point, ends: _Ends, after: int) -> None:
+        """Add a bifurcation of each kind between two points, at distances from a base."""
         # A pair of multipliers meets at 1 where the energy or the parameter has a fold.
         if any(kind.startswith("fold") and kind != _PERIOD_FOLD for kind in kinds):
             kinds = [kind for kind in kinds if kind != "branching"]
         for kind in kinds:
-            orbit, width = self._zero(
-                here,
-                there,
+            (place, point), width = self._zero(
+                base,
+                ends,
                 lambda point, kind=kind: point.tests[kind],  # type: ignore[misc]
             )
-            if kind != _TORUS or _complex_pair(orbit.shift_multipliers):
-                self.bifurcations.append(Bifurcation(kind, orbit, len(self.orbits) - 1, width))
+            if kind != _TORUS or _complex_pair(point.orbit.shift_multipliers):
+                found = Bifurcation(kind, point.orbit, after, width)
+                self._found.append((base.place + place, found))
+
+    def _search_pairs(self, here: _Point, there: _Point, step: float) -> None:
+        """Add pairs of bifurcations that leave no change of a sign between neighbours.
+
+        Each extremum is searched once, from the one of its neighbours that is nearest to zero.
+        """
+        if self._before is None or not step > 0:
+            return
+        (before, length), after = self._before, len(self.orbits) - 1
+        points = before, here, there
+        if len({len(point.orbit.shift_multipliers) for point in points}) > 1:
+            return
+        for kind in _MEETINGS.keys() & here.tests.keys():
+            values = [point.tests[kind] for point in points]
+            turn = _turn(np.abs(values), length, step)
+            if turn is None or not (min(values) > 0 or max(values) < 0):
+                continue
+            near = np.argmin(np.abs(values))
+            if near == 1 or (near == 0 and after <= 1) or (near == 2 and not self.open):
+                self._search_pair(kind, points, (length, step))
+
+    def _search_pair(
+        self,
+        kind: str,
+        points: tuple[_Point, _Point, _Point],
+        lengths: tuple[float, float],
+    ) -> None:
+        """Add the bifurcations beside an extremum of a test function, if it changes its sign."""
+        before, here, there = points
+        sign = math.copysign(1.0, here.tests[kind])
+        found: tuple[float, _Point] | None = None
+
+        def value(place: float) -> float:
+            nonlocal found
+            base, distance = (before, lengths[0] + place) if place < 0 else (here, place)
+            orbit = self._neighbour(base, distance)
+            if orbit is None:
+                raise _LostError
+            point = self._point(orbit, base)
+            meeting = _MEETINGS[kind] * orbit.shift_multipliers
+            if not differ_from_one(meeting, orbit.multiplier_error):
+                raise _LostError  # a touch, as far as float64 shows
+            tested = sign * point.tests[kind]
+            if tested < 0:
+                found = float(place), point
+                raise _LostError
+            return tested
+
+        with contextlib.suppress(_LostError):
+            minimize_scalar(
+                value,
+                bounds=(-lengths[0], lengths[1]),
+                method="bounded",
+                options={"xatol": _EXTREMUM * sum(lengths)},
+            )
+        if found is None:
+            return
+        place, middle = found
+        first, after = place < 0, len(self.orbits) - 1
+        left, right = (before, here) if first else (here, there)
+        whole = lengths[0] if first else lengths[1]
+        inner = (place + whole if first else place), middle
+        kinds = [
+            each
+            for each, test in middle.tests.items()
+            if (each == kind or each.startswith("fold"))
+            and test * left.tests[each] < 0
+            and test * right.tests[each] < 0
+        ]
+        for ends in (((0.0, left), inner), (inner, (whole, right))):
+            self._add(kinds, left, ends, max(after - first, 0))
 
     def _zero(
-        self, here: _Point, there: _Point, function: Callable[[_Point], float]
-    ) -> tuple[PeriodicOrbit, float]:
-        """The orbit between neighbours nearest to the zero of a function, and the distance of two
-        orbits that enclose the zero.
+        self, base: _Point, ends: _Ends, function: Callable[[_Point], float]
+    ) -> tuple[tuple[float, _Point], float]:
+        """The point nearest to the zero of a function between two, with its distance from a base,
+        and the distance of two orbits that enclose the zero.
         """
-        closest = min((here, there), key=lambda point: abs(function(point)))
-        known = {0.0: function(here), self._step: function(there)}
+        closest = min(ends, key=lambda end: abs(function(end[1])))
+        known = {distance: function(point) for distance, point in ends}
 
         def value(distance: float) -> float:
             nonlocal closest
             if distance not in known:
-                orbit = self._neighbour(here, distance)
+                orbit = self._neighbour(base, distance)
                 exact = orbit is not None
                 if orbit is None:  # Next to a fold round-off is large, but the sign is known.
-                    orbit = self._neighbour(here, distance, max(self._tol, _LOOSE))
+                    orbit = self._neighbour(base, distance, max(self._tol, _LOOSE))
                 if orbit is None:
                     raise _LostError
-                point = self._point(orbit, here)
+                point = self._point(orbit, base)
                 known[distance] = function(point)
-                if exact and abs(known[distance]) <= abs(function(closest)):
-                    closest = point
+                if exact and abs(known[distance]) <= abs(function(closest[1])):
+                    closest = distance, point
             return known[distance]
 
         with contextlib.suppress(_LostError):
-            brentq(value, 0.0, self._step, xtol=_LOCATED, rtol=1e-12, maxiter=60, disp=False)
+            low, high = (distance for distance, _ in ends)
+            brentq(value, low, high, xtol=_LOCATED, rtol=1e-12, maxiter=60, disp=False)
         places = sorted(known)
         signs = [known[place] > 0 for place in places]
         change = next(k for k in range(1, len(places)) if signs[k] != signs[0])
-        return closest.orbit, places[change] - places[change - 1]
+        return closest, places[change] - places[change - 1]
 
-    def _end(self, here: _Point, there: _Point) -> None:
+    def _end(self, near: PeriodicOrbit) -> None:
         """Compute the orbit at the target."""
-        self.open = False
-        near, _ = self._zero(here, there, lambda point: self._aim.excess(point.orbit))
         exact = self._aimed(near)
         if exact is None:
             self.problem = f"no orbit at {self._aim.name} {self._aim.value:.10g}"
@@ -243,6 +353,19 @@ class Continuation:
             problem = replace(problem, energy=None, period=value, exact_period=exact)
         found = solved_orbit(problem, orbit.arc, self._tol)
         return found if found.success else None
+
+
+def _turn(values: np.ndarray, before: float, after: float) -> float | None:
+    """Where the parabola through three values nearly falls to zero and turns, between them."""
+    left, right = np.diff(values) / (before, after)
+    curvature = (right - left) / (before + after)
+    if not curvature > 0:
+        return None
+    slope = (left * after + right * before) / (before + after)
+    place = -slope / (2 * curvature)
+    least = values[1] + slope * place / 2
+    near = -before < place < after and least <= _DIP * values.max()
+    return float(place) if near else None
 
 
 def _complex_pair(multipliers: np.ndarray) -> bool:
@@ -352,7 +475,7 @@ def _aligned(here: _Point, there: _Point) -> bool:
 
 
 def _close(here: _Point, there: _Point) -> bool:
-    """Whether the multipliers of neighbours are so close that no two bifurcations are skipped."""
+    """Whether the multipliers of neighbours differ little."""
     sums = []
     for point in (here, there):
         multipliers = point.orbit.shift_multipliers

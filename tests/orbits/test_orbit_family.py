@@ -5,6 +5,8 @@ import math
 import mpmath
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 import hamsym
 from hamsym.errors import InputError
@@ -167,6 +169,60 @@ def test_family_is_a_sequence():
     assert "bifurcations" in repr(family)
     with pytest.raises(InputError, match="no parameter"):
         _ = family.values
+
+
+#: A tongue of width 0.01 in a, in which orbits along x are unstable across.
+TONGUE = "(p_x**2 + p_y**2)/2 + x**2/2 + x**4/4 + a*y**2/2 + x**2*y**2/100 + y**4/4"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("first", "last", "max_step"),
+    [(1.6, 1.9, 0.3), (1.6, 1.9, 0.01), (1.72, 1.734, 0.3), (1.7, 1.725, 0.3)],
+)
+def test_two_bifurcations_between_neighbours_are_not_skipped(first, last, max_step):
+    period = float(duffing_period(1.0))
+
+    def trace(a):
+        def rates(_, z):
+            x, p, *across = z
+            y = np.reshape(across, (2, 2))
+            return [p, -x - x**3, *y[1], *(-(a + 0.02 * x**2) * y[0])]
+
+        start = [1.0, 0.0, 1.0, 0.0, 0.0, 1.0]
+        found = solve_ivp(rates, (0, period), start, method="DOP853", rtol=1e-12, atol=1e-14)
+        return found.y[2, -1] + found.y[5, -1]
+
+    edges = [brentq(lambda a: trace(a) - 2, *pair) for pair in ((1.715, 1.727), (1.727, 1.74))]
+    H = hamsym.Hamiltonian(TONGUE, parameters={"a": first})
+    orbit = hamsym.periodic_orbit(H, [1.0, 0.0, 0.0, 0.0])
+    family = orbit.family(parameter=("a", last), max_step=max_step)
+    assert family.success
+    assert {found.kind for found in family.bifurcations} == {"branching"}
+    # none beyond the target
+    expected = [edge for edge in edges if edge < last]
+    places = [found.orbit.H.parameters["a"] for found in family.bifurcations]
+    assert places == pytest.approx(expected, abs=1e-7)
+
+
+@pytest.mark.slow
+def test_multipliers_that_touch_one_are_no_bifurcations():
+    H = hamsym.Hamiltonian(
+        "(p_x**2 + p_y**2)/2 + x**2/2 + x**4/4 + a*y**2/2", parameters={"a": 1.6}
+    )
+    family = hamsym.periodic_orbit(H, [1.0, 0.0, 0.0, 0.0]).family(parameter=("a", 1.9))
+    assert family.success
+    assert not family.bifurcations
+
+
+def test_family_ends_where_a_step_meets_the_target():
+    H = hamsym.Hamiltonian("p**2/2 + a*x**2/2 + x**4/4", parameters={"a": 1.0})
+    orbit = hamsym.periodic_orbit(H, [1.0, 0.0])
+    met = orbit.family(parameter=("a", 1.2), max_orbits=3).values[-1]
+    family = orbit.family(parameter=("a", met))
+    assert family.success
+    assert family.values[-1] == met
+    assert len(family) == 3
 
 
 @pytest.mark.parametrize(
