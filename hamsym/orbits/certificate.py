@@ -177,12 +177,18 @@ def statement_of(
     if problem.closing.parts > 1:
         alike += " and symmetry"
     further = [each for each in shared_integrals(problem.H, problem.closing) if each != problem.H]
-    modulo = ", up to the motions that its integrals generate" if further else ""
+    fixed = problem.closing.first is not None
+    across = ["the flow"] * (problem.autonomous and not fixed)
+    across += ["the motions that its integrals generate"] * bool(further)
+    starts = ["the fixed set of the symmetry"] * fixed
+    if across:
+        starts.append(f"the plane{'s' * bool(further)} across {' and '.join(across)}")
+    where = f" that starts in {' and '.join(starts)}" if starts else ""
     statement = (
         f"{_equation(problem.H)} has a periodic orbit {energy}with a period in "
         f"{period.mid!r} +- {_rounded_up(period.radius)}. {places} it is within "
         f"{_rounded_up(bound)} of the computed states, relative to the size of each component, "
-        f"and no other one with {alike} is within {unique * 0.94:.1e} of it{modulo}."
+        f"and no other one with {alike}{where} is within {unique * 0.94:.1e} of it."
     )
     return statement if stability == "undecided" else f"{statement} It is {stability}."
 

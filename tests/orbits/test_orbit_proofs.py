@@ -192,9 +192,13 @@ def test_statement_has_the_parameters_and_the_conditions_of_uniqueness():
     H = hamsym.Hamiltonian("p**2/2 + k*x**2/2 + x**4/4", parameters={"k": 1.5})
     whole = hamsym.periodic_orbit(H, [1.0, 0.0]).certify().statement
     assert "with k = 1.5, has" in whole
-    assert "no other one with a period as near and the same energy is within" in whole
+    only = "no other one with a period as near and the same energy"
+    assert f"{only} that starts in the plane across the flow is within" in whole
     half = hamsym.periodic_orbit(H, [1.0, 0.0], symmetry={"p": "-p"}).certify().statement
-    assert "and the same energy and symmetry is within" in half
+    assert "energy and symmetry that starts in the fixed set of the symmetry is within" in half
+    forced = "p**2/2 - x**2/2 + 0.1*x*cos(t)"
+    driven = hamsym.periodic_orbit(forced, [0.05, 0.0], period="2*pi").certify().statement
+    assert "no other one with the same period is within" in driven
 
 
 @pytest.mark.parametrize(

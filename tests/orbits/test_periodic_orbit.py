@@ -123,7 +123,7 @@ def test_figure_eight_without_symmetry_is_isolated_up_to_motions_of_its_integral
     certificate = orbit.certify()
     assert certificate.stability == "elliptic"
     assert certificate.bound < 1e-14
-    assert "up to the motions that its integrals generate" in certificate.statement
+    assert "planes across the flow and the motions that its integrals" in certificate.statement
 
 
 def test_orbit_of_more_integrals_than_are_found_is_not_isolated():
