@@ -76,7 +76,8 @@ def fit(
         The start, at which the initial state is, and the end. With ``flow`` that of the flow map.
     sigma : number, array or mapping, optional
         Standard deviations of the data, the same for all observables or by observable; arrays have
-        shape (n,) or (sets, n). By default one number for all data, estimated from the residuals.
+        shape (n,) or (sets, n). By default one number for all data, estimated from the residuals,
+        which must then look like noise: without correlation in time, and less than the data vary.
     z0 : mapping of name to number, optional
         The other components of the start.
     parameters : mapping of name to number, optional

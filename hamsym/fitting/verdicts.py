@@ -9,6 +9,7 @@ import numpy as np
 from scipy import special
 
 from hamsym.families.solutions import Solutions
+from hamsym.fitting.observations import Observations
 from hamsym.fitting.rivals import aliased, reflected, reflections
 from hamsym.fitting.search import Found, Model
 from hamsym.fitting.uncertainty import Uncertainty
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 _ACCURACY = 0.1  # of sigma: errors of the motion
 _IMPROBABLE = 1e-6
+_CORRELATED = 4.0  # standard deviations of what noise alone makes of residuals
 _SHOWN = 3  # further minima in a message
 
 
@@ -84,6 +86,8 @@ def judged(
                 problems.append(f"another minimum fits as well, {unknowns.text(rivals[0][0])}")
             if observed.known and freedom[k] > 0 and not p_value[k] >= _IMPROBABLE:
                 problems.append("the model does not fit the data with this sigma")
+            if not observed.known:
+                problems += _unexplained(observed, found, count, k)
         success[k] = not problems
         state = f"chi-square {squares[k]:.6g} for {freedom[k]} degrees of freedom"
         if not observed.known:
@@ -97,6 +101,29 @@ def judged(
             state += "; intervals by profile likelihood"
         messages.append(f"{start}: {state}{_starts(unknowns, found, k)}")
     return Verdicts(sigma, freedom, p_value, success, messages)
+
+
+def _unexplained(observed: Observations, found: Found, count: int, k: int) -> list[str]:
+    """Say why the residuals of a set are not noise, from which sigma could be estimated."""
+    data = observed.data[k]
+    residuals = found.residuals[k].reshape(data.shape)
+    squares, number = float((residuals**2).sum()), int(observed.counts[k])
+    pairs = observed.present[k, :, 1:] & observed.present[k, :, :-1]
+    correlation = float((residuals[:, 1:] * residuals[:, :-1])[pairs].sum())
+    texts = []
+    if not correlation <= _CORRELATED / np.sqrt(max(pairs.sum(), 1)) * squares:
+        texts.append(
+            f"successive residuals are correlated, {correlation / squares:.2f}, so that the model "
+            "does not fit, and sigma cannot be estimated; try other first guesses, or give sigma"
+        )
+    least = count + _CORRELATED * np.sqrt(2 * count)  # by which noise alone lets squares fall
+    about_mean = float(np.nansum((data - np.nanmean(data, axis=1, keepdims=True)) ** 2))
+    if not least * squares <= (about_mean - squares) * (number - count):
+        texts.append(
+            "the model fits no better than the mean of the data; try other first guesses, or give "
+            "sigma"
+        )
+    return texts
 
 
 def _undetermined(unknowns: Unknowns, uncertainty: Uncertainty, k: int) -> list[str]:

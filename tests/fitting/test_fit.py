@@ -644,3 +644,24 @@ def test_results_can_be_pickled_and_printed(swing: np.ndarray) -> None:
     assert repr(found).endswith("success=True)")
     with pytest.raises(InputError, match="outside the span"):
         found(21.0)
+
+
+@pytest.mark.parametrize(
+    ("spacing", "reason"),
+    [
+        (0.1, "residuals are correlated"),
+        pytest.param(2.3, "no better than the mean", marks=pytest.mark.slow),
+    ],
+)
+def test_minimum_that_explains_nothing_needs_sigma(spacing: float, reason: str) -> None:
+    random = np.random.default_rng(1)
+    t = np.cumsum(random.uniform(0.5, 1.5, 101)) * spacing
+    data = np.cos(2 * t) + random.normal(0, 0.02, len(t))
+    given = {"free": {"k": 1.0, "x": 0.8}, "z0": {"p": 0}, "span": (0, t[-1])}
+    found = hamsym.fit("p**2/2 + k*x**2/2", t, {"x": data}, **given)
+    assert abs(found.parameters["k"] - 4) > 1
+    assert not found.success
+    assert reason in found.message
+    given["free"] = {"k": 4.0, "x": 0.8}
+    right = hamsym.fit("p**2/2 + k*x**2/2", t, {"x": data}, **given)
+    assert right.success, right.message
