@@ -100,12 +100,12 @@ def equilibria(
     >>> print(found)
     all 3 equilibria in the box, proven
     <BLANKLINE>
-       type     x  p  energy  stable
-    1  centre  -1  0   -0.25     yes
+       type     x  p  energy  linearly stable
+    1  centre  -1  0   -0.25              yes
        frequencies 1.4142136 (+)
-    2  centre   1  0   -0.25     yes
+    2  centre   1  0   -0.25              yes
        frequencies 1.4142136 (+)
-    3  saddle   0  0       0      no
+    3  saddle   0  0       0               no
        exponents +-1
     """
     H = Hamiltonian.of(H, bound=False)

@@ -227,7 +227,7 @@ def _table(found: Equilibria, digits: int) -> Table:
         Column("type", [one.type for one in each], left=True),
         *(Column(H.labelled(name), own) for name, own in zip(H.names, states.T, strict=True)),
         Column("energy", ["" if math.isnan(e) else f"{e:.{digits}g}" for e in found.energies]),
-        Column("stable", [words[one.stable] for one in each]),
+        Column("linearly stable", [words[one.stable] for one in each]),
     )
     names = [f"{place}" for place in range(1, len(each) + 1)]
     return Table("equilibria", names, columns, notes=[_note(one) for one in each])

@@ -12,7 +12,7 @@ def test_complete_table_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["equilibria", "p**2/2 - cos(x)", "--box", "x=-4:4,p=-1:1"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "all 3 equilibria in the box, proven"
-    assert lines[2].split() == ["type", "x", "p", "energy", "stable"]
+    assert lines[2].split() == ["type", "x", "p", "energy", "linearly", "stable"]
     assert lines[3].split() == ["1", "centre", "0", "0", "-1", "yes"]
 
 
