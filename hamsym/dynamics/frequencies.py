@@ -12,16 +12,26 @@ and its shifts are subtracted (Sidlichovsky & Nesvorny 1996, Celest. Mech. 65, 1
 
 from __future__ import annotations
 
-import functools
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.fft
 
+from hamsym.dynamics.sampled_signals import (
+    BETWEEN,
+    MISSED,
+    MOST,
+    Samples,
+    Signal,
+    Source,
+    signal_of,
+    source_of,
+    window,
+)
 from hamsym.errors import InputError
 from hamsym.families.solutions import Solutions
 from hamsym.hamiltonian import Hamiltonian
@@ -31,22 +41,10 @@ from hamsym.support.shown import Drawn, Shown
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.validation import checked_numbers, require_whole
 
-# Times at which a solution is evaluated: doubled until its spectrum ends before the highest
-# frequency of that many samples.
-_FEWEST, _MOST = 2**11, 2**20
-# Part of the spectrum, relative to its largest value, that may be left at its end.
-_TAIL = 1e-10
-# Power of the window 1 + cos: errors by neighbouring terms fall like T^-(2 n + 2).
-_POWER = 2
 _NEWTON = 30
 # Amplitudes below this part of the largest are round-off.
 _SMALLEST = 1e-13
 _ROUND_OFF = 1e-15
-# Times between the samples, as a share of their distance, at which the signal is compared with the
-# one band-limited function through the samples: no multiple of it is close to a whole number.
-_BETWEEN = 0.381966
-# Largest difference there, relative to the signal, at which samples of a solution are enough.
-_MISSED = 1e-6
 # Terms are known if their amplitude is larger than this many differences.
 _KNOWN = 4.0
 # Half of the width of a peak of the spectrum, in radians over half of the span, the places in it at
@@ -164,12 +162,12 @@ def frequencies(
     >>> bool(abs(found.frequency[0, 0] - exact) <= found.error[0, 0] < 1e-9)
     True
     """
-    require_whole("count", count, 1, _MOST)
+    require_whole("count", count, 1, MOST)
     began = time.perf_counter()
-    source = _source_of(result)
+    source = source_of(result)
     names, dof = source.H.names, source.H.dof
     chosen = signals or tuple(zip(names[:dof], names[dof:], strict=True))
-    read = [_signal(source.H, entry, scaled=not signals) for entry in chosen]
+    read = [signal_of(source.H, entry, scaled=not signals) for entry in chosen]
     shape = source.shape
     arrays = np.full((5, *shape, len(read), count), np.nan)
     rest = np.full((*shape, len(read)), np.nan)
@@ -208,7 +206,8 @@ class Average(NamedTuple):
     """A time average and its estimated error."""
 
     value: float
-    error: float  # infinite if those of the states are not known
+    #: Infinite if those of the states are not known, and where no samples show all of the signal.
+    error: float
 
 
 @checked_keywords
@@ -234,16 +233,21 @@ def time_average(result: Solution | Trajectory, f: Any) -> Average:
     >>> round(found.value, 8), bool(found.error < 1e-9)
     (1.96811775, True)
     """
-    source = _source_of(result)
+    source = source_of(result)
     if source.shape:
         raise InputError("the average is that of one trajectory; take one of the ensemble")
-    signal = _signal(source.H, f, scaled=False)
-    found = source.sampled((), signal)
-    values, half = found.values.real, len(found.values) // 2
+    signal = signal_of(source.H, f, scaled=False)
+    found, is_whole = source.followed((), signal, lambda samples: _average(samples).error)
+    average = _average(found)
+    return average if is_whole else average._replace(error=math.inf)
+
+
+def _average(samples: Samples) -> Average:
+    values, half = samples.values.real, len(samples.values) // 2
     whole = _weighted(values)
     parts = _weighted(values[: half + 1]), _weighted(values[len(values) - half - 1 :])
-    away = np.abs([*parts, _weighted(found.between.real, _BETWEEN)] - np.array(whole)).max()
-    error = float(away) + found.error + _ROUND_OFF * abs(whole)
+    away = np.abs([*parts, _weighted(samples.between.real, BETWEEN)] - np.array(whole)).max()
+    error = float(away) + samples.error + _ROUND_OFF * abs(whole)
     return Average(whole, error if error >= 0 else math.inf)
 
 
@@ -256,178 +260,16 @@ def _weighted(values: np.ndarray, shift: float = 0.0) -> float:
     return float(weights @ values[inside] / weights.sum())
 
 
-# -- signals ---------------------------------------------------------------------------------------
-
-
-class _Signal(NamedTuple):
-    """f, or the complex f - i c g where a pair is given, with c = 1 unless it is scaled."""
-
-    text: str
-    first: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    second: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
-    is_scaled: bool = False
-
-    @property
-    def is_real(self) -> bool:
-        return self.second is None
-
-    def ratio(self, z: np.ndarray, t: np.ndarray) -> float:
-        """c, for equal sizes."""
-        if self.second is None or not self.is_scaled:
-            return 1.0
-        sizes = np.ptp(self.first(z, t)), np.ptp(self.second(z, t))
-        return float(sizes[0] / sizes[1]) if sizes[0] and sizes[1] else 1.0
-
-    def value(self, z: np.ndarray, t: np.ndarray, ratio: float) -> np.ndarray:
-        first = np.broadcast_to(np.asarray(self.first(z, t), dtype=float), t.shape)
-        return first if self.second is None else first - 1j * ratio * self.second(z, t)
-
-    def error(self, z: np.ndarray, t: np.ndarray, ratio: float, errors: np.ndarray) -> float:
-        """The largest change of the signal by errors of the components."""
-        values, change = self.value(z, t, ratio), np.zeros(len(t))
-        for component in np.eye(z.shape[1], dtype=bool):
-            moved = np.where(component, z + errors, z)
-            change += np.abs(self.value(moved, t, ratio) - values)
-        return float(np.nan_to_num(change, nan=np.inf, posinf=np.inf).max())
-
-
-def _signal(H: Hamiltonian, entry: Any, scaled: bool) -> _Signal:
-    if not isinstance(entry, (tuple, list)):
-        one = H.observable(entry)
-        return _Signal(one.text, one)
-    if len(entry) != 2:
-        raise InputError(f"{entry!r} is no pair; give (f, g) for the signal f - i g")
-    first, second = (H.observable(part) for part in entry)
-    sign = "- i c" if scaled else "- i"
-    return _Signal(f"{first.text} {sign} {second.text}", first, second, scaled)
-
-
-class _Samples(NamedTuple):
-    """A signal at equal steps."""
-
-    times: np.ndarray
-    values: np.ndarray
-    #: At the times :data:`_BETWEEN` them, one fewer.
-    between: np.ndarray
-    #: Largest error of the values by that of the states.
-    error: float
-    #: Root mean square of what the values do not tell of those between, as with aliased terms.
-    missed: float
-
-
-@dataclass(frozen=True)
-class _Source:
-    """Trajectories of a result."""
-
-    H: Hamiltonian
-    z0: np.ndarray
-    span: tuple[float, float]
-    shape: tuple[int, ...]
-    #: (place, count) -> equal times, as many if there is a choice.
-    times: Callable[[int], np.ndarray]
-    #: (place, times) -> states.
-    states: Callable[[tuple[int, ...], np.ndarray], np.ndarray]
-    #: Largest error of each component at a place, shape (dim,).
-    errors: Callable[[tuple[int, ...]], np.ndarray]
-
-    def sampled(self, place: tuple[int, ...], signal: _Signal) -> _Samples:
-        """The signal at equal steps, as many as its spectrum needs."""
-        count, errors = _FEWEST, self.errors(place)
-        while True:
-            t = self.times(count)
-            z = self.states(place, t)
-            with np.errstate(all="ignore"):
-                ratio = signal.ratio(z, t)
-                values, error = signal.value(z, t, ratio), signal.error(z, t, ratio, errors)
-                later = t[:-1] + _BETWEEN * np.diff(t)
-                between = signal.value(self.states(place, later), later, ratio)
-                missed = _missed(values, between)
-            size = float(np.abs(values).max())
-            is_resolved = _is_resolved(values, max(_TAIL * size, error))
-            enough = is_resolved and missed <= max(_MISSED * size, error)
-            if len(t) != count or count >= _MOST or enough or not np.isfinite(values).all():
-                return _Samples(t, values, between, error, missed)
-            count *= 2
-
-
-def _missed(values: np.ndarray, between: np.ndarray) -> float:
-    """The difference, with the window, of values and the band-limited function through others."""
-    count = len(values)
-    turns = np.exp(2j * np.pi * scipy.fft.fftfreq(count) * _BETWEEN)
-    told = scipy.fft.ifft(scipy.fft.fft(values * _window(count)) * turns)[:-1]
-    away = np.abs(told - between * _window(count, _BETWEEN)[:-1])
-    missed = np.sqrt(np.sum(away**2) / np.sum(_window(count) ** 2))
-    return float(missed) if missed >= 0 else math.inf
-
-
-def _is_resolved(values: np.ndarray, tail: float) -> bool:
-    """Whether the spectrum has ended before its highest frequencies."""
-    spectrum = np.abs(scipy.fft.fft(values * _window(len(values))))
-    middle, width = len(values) // 2, len(values) // 16
-    return bool(spectrum[middle - width : middle + width].max() <= tail)
-
-
-def _window(count: int, shift: float = 0.0) -> np.ndarray:
-    """The weights of a mean, (1 + cos(pi x))^n; with a shift, beside the places by this share."""
-    x = np.linspace(-1, 1, count)
-    weights = (1 + np.cos(np.pi * x)) ** _POWER
-    beside = (1 + np.cos(np.pi * (x + shift * (x[1] - x[0])))) ** _POWER if shift else weights
-    return np.asarray(beside / weights.sum())
-
-
-def _source_of(result: Any) -> _Source:
-    if isinstance(result, Trajectory):
-        return _source_of_trajectory(result)
-    if isinstance(result, (Solution, Solutions)):
-
-        @functools.lru_cache(maxsize=1)  # a member is made anew each time
-        def member(place: tuple[int, ...]) -> Solution:
-            return result[place] if isinstance(result, Solutions) else result
-
-        return _Source(
-            result.H,
-            np.asarray(result.z0),
-            result.span,
-            result.shape if isinstance(result, Solutions) else (),
-            lambda count: np.linspace(*result.span, count),
-            lambda place, t: np.asarray(member(place)(t)),
-            lambda place: np.asarray(member(place).largest_error),
-        )
-    raise InputError(
-        f"frequencies are those of a Solution, a Trajectory or Solutions, not of a "
-        f"{type(result).__name__}"
-    )
-
-
-def _source_of_trajectory(result: Trajectory) -> _Source:
-    t = np.asarray(result.t)
-    steps = np.diff(t)
-    if len(t) < 64 or not np.abs(steps - steps.mean()).max() <= 1e-9 * np.abs(steps).max():
-        raise InputError(
-            "the states are not at equal steps, or fewer than 64; integrate with saves= equal times"
-        )
-    z = np.asarray(result.z)
-    between = np.asarray(result(t[:-1] + _BETWEEN * steps))  # refused where they are too far apart
-    errors = result.largest_error
-
-    def states(place: tuple[int, ...], times: np.ndarray) -> np.ndarray:
-        return np.asarray((z if len(times) == len(t) else between)[place])
-
-    def of_states(place: tuple[int, ...]) -> np.ndarray:
-        return np.full(z.shape[-1], math.inf) if errors is None else np.asarray(errors[place])
-
-    span = (float(t[0]), float(t[-1]))
-    return _Source(result.H, z[..., 0, :], span, z.shape[:-2], lambda _: t, states, of_states)
-
-
 # -- analysis --------------------------------------------------------------------------------------
 
 
 def _analysed(
-    source: _Source, place: tuple[int, ...], signal: _Signal, count: int
+    source: Source, place: tuple[int, ...], signal: Signal, count: int
 ) -> tuple[np.ndarray, float]:
     """Rows frequency, amplitude, phase, error and drift of the terms found, and the rest."""
-    times, values, _, of_states, missed = source.sampled(place, signal)
+    samples, is_whole = source.followed(place, signal, _unresolved)
+    times, values, of_states = samples.times, samples.values, samples.error
+    missed = samples.missed if is_whole else math.inf
     if not np.isfinite(values).all():
         return np.empty((5, 0)), math.nan
     if times[0] > times[-1]:
@@ -473,6 +315,11 @@ def _analysed(
     return rows[:, order], float(np.sqrt(np.mean(np.abs(rest) ** 2))) / spread
 
 
+def _unresolved(samples: Samples) -> float:
+    """What a feature between samples may change."""
+    return max(MISSED * float(np.abs(samples.values).max()), samples.error)
+
+
 def _blends(rest: np.ndarray, terms: _Terms, elapsed: np.ndarray, floor: float) -> np.ndarray:
     """Errors of frequencies whose peaks may be those of several terms, shape (terms,).
 
@@ -481,7 +328,7 @@ def _blends(rest: np.ndarray, terms: _Terms, elapsed: np.ndarray, floor: float) 
 
     - floor: What errors of the signal leave.
     """
-    weights = _window(len(rest))
+    weights = window(len(rest))
     elsewhere = float(np.abs(scipy.fft.fft(rest * weights)).max())
     found = np.zeros(len(terms.omega))
     for k, omega in enumerate(terms.omega):
@@ -506,7 +353,7 @@ def _halves(values: np.ndarray, elapsed: np.ndarray, omega: float) -> Iterator[f
 
 def _maximum(values: np.ndarray, elapsed: np.ndarray, omega: float) -> float:
     """The frequency near one at which the weighted mean of s exp(-i omega t) is largest."""
-    weighted = values * _window(len(values))
+    weighted = values * window(len(values))
     width = np.pi / (elapsed[-1] - elapsed[0])
     for _ in range(_NEWTON):
         turned = weighted * np.exp(-1j * omega * elapsed)
@@ -546,7 +393,7 @@ class _Terms:
         """Amplitudes that fit best, in the mean with the weights of the window."""
         every = np.concatenate([omega, -omega[omega != 0]]) if is_real else omega
         waves = np.exp(1j * every[:, None] * x)
-        weighted = np.conj(waves) * _window(len(x))
+        weighted = np.conj(waves) * window(len(x))
         found = np.linalg.solve(weighted @ waves.T, weighted @ values)
         return cls(omega, found[: len(omega)], is_real)
 
@@ -580,7 +427,7 @@ class _Terms:
 
 def _peak(values: np.ndarray, x: np.ndarray, is_real: bool) -> float:
     """The frequency of the largest value of the spectrum, on a grid of a quarter of its width."""
-    spectrum = np.abs(scipy.fft.fft(values * _window(len(values)), 4 * len(values)))
+    spectrum = np.abs(scipy.fft.fft(values * window(len(values)), 4 * len(values)))
     omega = 2 * np.pi * scipy.fft.fftfreq(len(spectrum), (x[-1] - x[0]) / (len(x) - 1))
     if is_real:
         spectrum = np.where(omega < 0, 0, spectrum)

@@ -193,3 +193,34 @@ def test_facts_list_the_terms() -> None:
     found = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 90)).frequencies()
     assert "x - i c p" in found.summary()
     assert "angular frequency" in found.plot().axes[0].get_xlabel()
+
+
+@pytest.mark.parametrize("formula", ["exp(-((x - 0.3)/1e-6)**2)", "Heaviside(x - 0.3)"])
+def test_features_between_the_samples_leave_the_error_unknown(formula: str) -> None:
+    solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 200), tol=1e-10)
+    assert hamsym.time_average(solution, formula).error == np.inf
+
+
+def test_frequencies_of_what_no_sample_shows_are_not_known() -> None:
+    solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 200), tol=1e-10)
+    assert not hamsym.frequencies(solution, "exp(-((x - 0.3)/1e-6)**2)", count=1).success
+
+
+def test_features_that_the_samples_show_are_averaged() -> None:
+    solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 200), tol=1e-10)
+    found = hamsym.time_average(solution, "exp(-((x - 0.3)/0.1)**2)")
+    phases = np.linspace(0, 2 * np.pi, 4096, endpoint=False)
+    exact = np.exp(-(((np.cos(phases) - 0.3) / 0.1) ** 2)).mean()
+    assert abs(found.value - exact) <= found.error < 1e-4
+
+
+def test_members_with_other_parameters_have_frequencies() -> None:
+    H = hamsym.Hamiltonian("p**2/2 - k*cos(x)", parameters={"k": 1.0})
+    given = {"parameters": {"k": np.array([1.0, 4.0])}}
+    for many in (
+        hamsym.solve_many(H, [0.1, 0.0], (0, 100), **given),
+        hamsym.integrate(H, [0.1, 0.0], (0, 100), saves=2000, tol=1e-9, **given),
+    ):
+        found = hamsym.frequencies(many, "x", count=1)
+        assert found.success, found.message
+        np.testing.assert_allclose(found.frequency[:, 0, 0], [1, 2], rtol=1e-3)
