@@ -145,7 +145,9 @@ class Connections(Drawn, Shown, Sequence[Connection]):
         Crossings of the section by the unstable and by the stable manifold: ``t``, ``z``,
         ``trajectory``.
     success : bool
-        Whether both manifolds are accurate and at least one connection was found.
+        Whether both local manifolds are accurate and at least one connection was found; each has
+        its own success. Where trajectories of a manifold end early, as at a collision, others may
+        be missed, and ``message`` says so.
     message : str
     seconds : float
     """
@@ -235,6 +237,9 @@ def connections(
     cuts = tuple(cut_of(each, where, int(crossings)) for each in (unstable, stable))
     found = _Search(unstable, stable, where, cuts, tol).connections()
     accurate = unstable.local_error <= unstable.tol and stable.local_error <= stable.tol
+    problems = [
+        f"{each.kind} manifold: {each.message}" for each in (unstable, stable) if not each.success
+    ]
     kinds = f"{len(cuts[0].t)} and {len(cuts[1].t)} crossings"
     message = f"{len(found)} connections between {kinds}"
     return Connections(
@@ -244,7 +249,7 @@ def connections(
         where.text,
         (cuts[0], cuts[1]),
         bool(found) and accurate,
-        message if accurate else f"{message}; a local manifold is not accurate",
+        "; ".join([message, *problems]),
         time.perf_counter() - began,
     )
 

@@ -28,6 +28,7 @@ _NEAR = 1e-2  # relative distance of multipliers that may move together
 _UNIT = 2.0**-53
 _COARSE = 1e-2  # error of multipliers beyond which nothing is said about them
 _SHEAR = 1e-9  # entries of a monodromy matrix without the identity that are no round-off
+_EXACT = 2.0**-46  # round-off that two computations may share
 _RANK = 1e-8  # singular values relative to the largest that count as zero
 
 
@@ -125,11 +126,10 @@ def _complements(rows: np.ndarray) -> np.ndarray:
     return np.linalg.qr(rows.swapaxes(1, 2), mode="complete")[0][:, :, rows.shape[1] :]
 
 
-def has_shear(monodromy: np.ndarray, scale: np.ndarray) -> bool:
-    """Whether a monodromy matrix differs from the identity by more than round-off."""
+def shear_of(monodromy: np.ndarray, other: np.ndarray, scale: np.ndarray) -> float:
+    """Return the largest entry of the difference of two maps, in canonical units of a scale."""
     units = _canonical(scale)
-    excess = (monodromy - np.eye(len(units))) * units / units[:, None]
-    return bool(np.abs(excess).max() > _SHEAR)
+    return float(np.abs((monodromy - other) * units / units[:, None]).max())
 
 
 def multiplier_error(matrix: np.ndarray, other: np.ndarray, *, conservative: bool = True) -> float:
@@ -195,7 +195,7 @@ def stability_of(
     order: int = 1,
     error: float = 0.0,
     conservative: bool = True,
-    shear: bool = False,
+    shear: float = 0.0,
 ) -> str:
     """Return the word for the linear stability that nontrivial multipliers imply.
 
@@ -221,7 +221,8 @@ def stability_of(
     - order: Number of shifts in the period.
     - error: Estimated error of the multipliers, relative where they are larger than 1.
     - conservative: Whether there are no forces.
-    - shear: Whether the monodromy matrix is not the identity.
+    - shear: Difference of the monodromy matrix from the identity, whose error is that of
+      multipliers where none is left.
 
     Examples
     --------
@@ -231,7 +232,7 @@ def stability_of(
     'elliptic'
     >>> stability_of(np.array([0.9999, 1.0001]), error=1e-4)
     'unknown'
-    >>> stability_of(np.array([]), shear=True)
+    >>> stability_of(np.array([]), shear=1.0)
     'parabolic'
     """
     radius = _SAFETY * error
@@ -247,7 +248,9 @@ def stability_of(
         return "unknown" if open_ else "mixed"
     kinds = {_kind(multipliers, k, order, radius) for k in range(len(multipliers))}
     if not kinds:
-        return "parabolic" if shear else "elliptic"
+        if shear > max(_SHEAR, radius):
+            return "parabolic"
+        return "elliptic" if shear <= radius + _EXACT and radius <= _SHEAR else "unknown"
     if "unknown" in kinds:
         return "unknown"
     return kinds.pop() if len(kinds) == 1 else "mixed"
@@ -259,18 +262,32 @@ def _kind(multipliers: np.ndarray, k: int, order: int, radius: float) -> str:
     if 0 < abs(value) < 1:  # the kind of its partner, which is the more accurate one
         k = int(np.argmin(np.abs(multipliers - 1 / np.conj(value))))
         value = multipliers[k]
-    radius *= max(1.0, abs(value))
-    alone = bool((np.abs(np.delete(multipliers, k) - value) > 2 * radius).all())
+    radius = radius * max(1.0, abs(value))
+
+    def judged(word: str, distance: float, threshold: float) -> str:
+        """The word for a multiplier on a curve, if its distance from it is no more than its error.
+
+        Otherwise it is on the curve if no other one is where its partner across the curve would be.
+        """
+        room = 2 * max(radius, 1.5 * distance)
+        if (np.abs(np.delete(multipliers, k) - value) > room).all():
+            return word
+        return (
+            word if distance <= radius + _EXACT * abs(value) and radius <= threshold else "unknown"
+        )
+
     with np.errstate(all="ignore"):
         turned = value**order
     near = min(abs(turned - 1), abs(turned + 1))
     if near < max(_PARABOLIC, 2 * order * radius):
-        return "parabolic" if near < _PARABOLIC and radius <= _PARABOLIC else "unknown"
+        small = near <= order * radius + _EXACT and radius <= _PARABOLIC
+        return "parabolic" if small and near < _PARABOLIC else "unknown"
     away = abs(abs(value) - 1)
     if away < max(_ON_CIRCLE, radius):
-        return "elliptic" if alone or radius <= _ON_CIRCLE else "unknown"
-    if abs(value.imag) <= max(_PARABOLIC * abs(value), radius):
-        return "hyperbolic" if alone or radius <= _PARABOLIC * abs(value) else "unknown"
+        return judged("elliptic", away, _ON_CIRCLE)
+    real = _PARABOLIC * abs(value)
+    if abs(value.imag) <= max(real, radius):
+        return judged("hyperbolic", abs(value.imag), real)
     return "complex unstable"
 
 

@@ -25,9 +25,9 @@ from hamsym.orbits.integrals import integrals_of
 from hamsym.orbits.multipliers import (
     differ_from_one,
     gradients_of_integrals,
-    has_shear,
     multiplier_error,
     reduced_map,
+    shear_of,
     stability_of,
 )
 from hamsym.orbits.period import ROUNDED, Period, has_period, period_of
@@ -82,8 +82,9 @@ class PeriodicOrbit(Drawn, Saved):
     repetitions : int
         Number of times that the orbit is run through in its period.
     multiplier_error : float
-        Estimated error of ``shift_multipliers``, relative where they are larger than 1: the
-        difference of two computations with other points in each window.
+        Estimated error of ``shift_multipliers``, relative where they are larger than 1, or of the
+        monodromy matrix if there are none: the difference of two computations with other points in
+        each window.
     seconds : float
         Run time.
     """
@@ -250,7 +251,7 @@ class PeriodicOrbit(Drawn, Saved):
             order=self.problem.closing.order,
             error=self.multiplier_error,
             conservative=not self.H.forces,
-            shear=not len(multipliers) and has_shear(self.monodromy, self.arc.scale),
+            shear=shear_of(self.monodromy, np.eye(self.H.dim), self.arc.scale),
         )
 
     # -- consumers ----------------------------------------------------------------------------
@@ -415,6 +416,8 @@ def solved_orbit(
         spread = multiplier_error(
             orbit._reduced, coarser._reduced, conservative=not problem.H.forces
         )
+        if not len(orbit._reduced):
+            spread = shear_of(orbit.monodromy, coarser.monodromy, finer.scale)
     if not isolated and problem.period is None:
         # Newton's matrix of an unstable orbit may be singular up to round-off only. Orbits of one
         # energy are isolated if no multiplier is 1; with further integrals the matrix, too, has to

@@ -47,7 +47,7 @@ def inverse_matrix(rows: Sequence[Sequence[sympy.Expr]]) -> tuple[Rows, sympy.Ex
     cleared = [[entry * factor for entry in row] for row in matrix.to_list()]
     # A denominator may still be a number.
     whole = [[entry.numer.quo_ground(entry.denom.LC) for entry in row] for row in cleared]
-    adjugate, determinant = DomainMatrix(whole, (size, size), domain).adj_det()
+    adjugate, determinant = _adjugate(DomainMatrix(whole, (size, size), domain))
     determinant = ring.reduced(determinant)
     found = [[ring.reduced(entry) for entry in row] for row in adjugate.to_list()]
     if derivatives.vanishes(ring.expression(determinant)):
@@ -70,6 +70,20 @@ def inverse_matrix(rows: Sequence[Sequence[sympy.Expr]]) -> tuple[Rows, sympy.Ex
     if ring.relations:  # factors of 1 - cos**2 would hide sin**2
         return scaled, ring.expression(determinant)
     return scaled, sympy.factor(ring.plain(determinant)).xreplace(ring.back)
+
+
+def _adjugate(matrix: DomainMatrix) -> tuple[DomainMatrix, Any]:
+    """Adjugate and determinant, by the characteristic polynomial.
+
+    Sympy's own ``adj_det`` fails where a coefficient is the zero of a ring of polynomials.
+    """
+    size = len(matrix.rep.to_list())
+    one = DomainMatrix.eye(size, matrix.domain).to_dense()
+    _, *inner, last = matrix.charpoly()
+    found = one
+    for coefficient in inner:
+        found = matrix * found + one.scalarmul(coefficient)
+    return (-found, last) if size % 2 == 0 else (found, -last)
 
 
 def _null_vector(matrix: DomainMatrix, ring: _Polynomials) -> Rows:

@@ -77,6 +77,8 @@ def test_orbit_has_symmetric_homoclinic_connections() -> None:
     parts = orbit.manifolds(count=6, spacing=0.3, duration=8)
     found = hamsym.connections(parts.unstable, parts.stable, "y = -0.3, p_y < 0", crossings=1)
     assert found.success
+    assert not parts.unstable.success  # some trajectories run to infinity
+    assert f"; unstable manifold: {parts.unstable.message}" in found.message
     assert len(found) == 4
     assert all(one.mismatch < 1e-10 and one.transversality > 1e-2 for one in found)
     mirrored = sorted(one.z[0] for one in found)  # H does not change under x -> -x

@@ -9,9 +9,9 @@ import scipy.linalg
 from hamsym.numerics.symplectic import poisson_matrix
 from hamsym.orbits.multipliers import (
     differ_from_one,
-    has_shear,
     multiplier_error,
     reduced_map,
+    shear_of,
     stability_of,
 )
 from hamsym.orbits.symmetry import Closing, SignedPermutation
@@ -83,7 +83,7 @@ def test_commuting_integrals_leave_the_other_multipliers(seed, rest, word):
     found = reduced_eigenvalues(matrix, momenta, random)
     expected = np.sort_complex(np.linalg.eigvals(blocks(*rest)).astype(complex))
     np.testing.assert_allclose(found, expected, atol=1e-7 if word == "parabolic" else 1e-9)
-    assert stability_of(found) == word
+    assert stability_of(found, error=1e-7) == word
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -106,9 +106,9 @@ def test_vector_field_is_left_out_without_integrals():
 def test_integrals_of_all_directions_leave_no_multiplier():
     reduced = reduced_at_rest(shear(2.0), np.array([[0.0, 1.0]]))
     assert reduced.shape == (0, 0)
-    assert stability_of(np.linalg.eigvals(reduced), shear=has_shear(shear(2.0), np.ones(2))) == (
-        "parabolic"
-    )
+    size = shear_of(shear(2.0), np.eye(2), np.ones(2))
+    assert size == 2.0
+    assert stability_of(np.linalg.eigvals(reduced), shear=size) == "parabolic"
 
 
 @pytest.mark.parametrize(
@@ -129,10 +129,38 @@ def test_words_for_pairs_of_multipliers(multipliers, word):
 
 
 @pytest.mark.parametrize(
-    ("slope", "word"), [(3.0, "parabolic"), (-1e-4, "parabolic"), (0.0, "elliptic")]
+    ("slope", "error", "word"),
+    [
+        (3.0, 0.0, "parabolic"),
+        (-1e-4, 1e-6, "parabolic"),
+        (0.0, 1e-12, "elliptic"),
+        (2e-12, 1e-12, "elliptic"),
+        (1e-11, 1e-12, "unknown"),
+        (1e-5, 1e-4, "unknown"),
+    ],
 )
-def test_shear_decides_where_no_multiplier_is_left(slope, word):
-    assert stability_of(np.array([]), shear=has_shear(shear(slope), np.ones(2))) == word
+def test_shear_decides_where_no_multiplier_is_left(slope, error, word):
+    size = shear_of(shear(slope), np.eye(2), np.ones(2))
+    assert stability_of(np.array([]), error=error, shear=size) == word
+
+
+@pytest.mark.parametrize(
+    ("multipliers", "allowed"),
+    [
+        (np.exp([1e-6j, -1e-6j]), "elliptic"),
+        (np.exp([1e-6, -1e-6]), "hyperbolic"),
+        (-np.exp([1e-7j, -1e-7j]), "elliptic"),
+        (np.exp([3e-7 + 1j, 3e-7 - 1j, -3e-7 + 1j, -3e-7 - 1j]), "complex unstable"),
+        (
+            2.0 ** np.array([1, 1, -1, -1]) * np.exp([3e-6j, -3e-6j, 3e-6j, -3e-6j]),
+            "complex unstable",
+        ),
+    ],
+)
+def test_words_do_not_contradict_a_small_error(multipliers, allowed):
+    for error in (1e-15, 1e-10, 1e-8):
+        assert stability_of(multipliers, error=error) in {allowed, "unknown"}
+    assert stability_of(multipliers, error=1e-5) in {"parabolic", "unknown", allowed}
 
 
 KINDS = {

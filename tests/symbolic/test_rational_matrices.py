@@ -53,3 +53,12 @@ def test_sine_and_cosine_of_one_argument_are_related() -> None:
     )
     assert denominator == sympy.sin(x) ** 2
     assert found[0] == [1, -sympy.cos(x)]
+
+
+@pytest.mark.parametrize(
+    "rows", [[[-2 * a, 2 * b], [2 * b, 2 * a]], [[0, a, 0], [0, 0, b], [a, 0, 0]]]
+)
+def test_matrix_without_a_trace_is_inverted(rows: list[list[sympy.Expr]]) -> None:
+    matrix = sympy.Matrix(rows)
+    found, determinant = inverse_matrix(matrix.tolist())
+    assert sympy.simplify(matrix * sympy.Matrix(found) / determinant) == sympy.eye(len(rows))

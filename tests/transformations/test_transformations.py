@@ -47,6 +47,12 @@ CASES: list[tuple[Hamiltonian, dict[str, Any], dict[str, Any], list[float]]] = [
         {"new": {"w": "J"}, "positive": "J"},
         [0.3, 0.9],
     ),
+    (  # parabolic coordinates
+        Hamiltonian(KEPLER),
+        {"x": "xi**2 - eta**2", "y": "2*xi*eta"},
+        {},
+        [1.0, 0.2, -0.1, 1.1],
+    ),
     (Hamiltonian("p**2/2 + x**4/4"), {"x": "P", "p": "-Q"}, {"new": {"Q": "P"}}, [0.4, 0.9]),
     (
         Hamiltonian("p**2/2 - cos(x) - x*sin(t)/3", forces={"p": "-p/5 + cos(x)"}),
