@@ -67,7 +67,8 @@ class LyapunovExponents(Drawn, Shown):
     seconds : float
     success : bool
         Whether the trajectory reached the end and kept H to 1 % of the energy that the motion
-        exchanges (:mod:`hamsym.integrators.energy_drift`); independent of convergence.
+        exchanges (:mod:`hamsym.integrators.energy_drift`), or where H is not conserved, whether a
+        step is at most 0.6 rad of the fastest linear motion; independent of convergence.
     message : str
     """
 

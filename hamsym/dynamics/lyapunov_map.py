@@ -21,6 +21,7 @@ import numpy as np
 from hamsym.dynamics.growth import (
     APART,
     PARALLEL,
+    RESOLVED_ANGLE,
     STEPS_PER_RADIAN,
     UNRESOLVED,
     first_vectors,
@@ -342,6 +343,9 @@ class _Run:
         fastest = self._fastest(index, path[:, ::every], times[::every])
         again = apart | (chosen & (coarse | ~(fastest <= _RESOLVED * rate)))
         rates = np.clip(self._class(fastest), 2 * rate, _FASTER * rate)
+        # Steps that are given are tested by the change of H, or by the rates where H may change.
+        given = np.inf if H.conserves_energy else RESOLVED_ANGLE * steps / self._length
+        most = UNRESOLVED * rate if chosen else given
         problems = []
         for i in range(len(index)):
             problem = ""
@@ -357,7 +361,7 @@ class _Run:
                     f"H changed by {drift.change[i]:.1e}, {share[i]:.0%} of its scale: take a "
                     "smaller dt"
                 )
-            elif chosen and not fastest[i] <= UNRESOLVED * rate:
+            elif not fastest[i] <= most:
                 problem = (
                     f"the motion has rates up to {fastest[i]:.2g}: give a dt that resolves them"
                 )

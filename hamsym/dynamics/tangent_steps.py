@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hamsym.dynamics.growth import STEPS_PER_RADIAN, UNRESOLVED, tangent_scales
+from hamsym.dynamics.growth import RESOLVED_ANGLE, STEPS_PER_RADIAN, UNRESOLVED, tangent_scales
 from hamsym.dynamics.passed_features import first_passed
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
@@ -122,9 +122,10 @@ class TangentSteps:
         share = float(drift.relative(self.number)[0])
         if H.conserves_energy and not share <= COARSE:
             return change, f"H changed by {change:.1e}, {share:.0%} of its scale: take a smaller dt"
-        if self.chosen:
+        if self.chosen or not H.conserves_energy:  # which tests the steps that are given
             fastest = fastest_rates(H, path, np.append(self.span[0], times)).max()
-            if not fastest <= UNRESOLVED * max(self.rate, 1 / abs(self.size)):
+            most = UNRESOLVED * max(self.rate, 1 / abs(self.size))
+            if not fastest <= (most if H.conserves_energy else RESOLVED_ANGLE / abs(self.size)):
                 return change, (
                     f"the motion has rates up to {fastest:.2g}: give a dt that resolves them"
                 )
