@@ -10,14 +10,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import brentq
 
 from hamsym.families.many import solve_many
 from hamsym.families.solutions import Solutions
 from hamsym.invariant_manifolds.origins import Departure
+from hamsym.numerics.collocation import collocation
+from hamsym.random_features.flow import flow_of
 
 _ROUNDS, _MOST = 6, 4  # of insertions, and times the trajectories of the first round
 _COMPARED = 200  # times at which neighbours are compared
 _POINTS = 8  # of a window, along a trajectory
+_NODES = 10  # between two of these, for arc lengths
 _PHASES = 4  # trajectories for each start of a ring, about an orbit
 _GOLDEN = 0.6180339887498949
 
@@ -157,10 +161,9 @@ def grow(
     ends, long = samples.ends.copy(), np.zeros(len(starts.places), bool)
     if length is not None:
         for k, end in enumerate(ends.tolist()):
-            times, states = path(many, k, end)
-            along = arc_lengths(states)
-            if along[-1] >= length:
-                ends[k], long[k] = float(np.interp(length, along, times)), True
+            found = _end_at(many, k, end, length)
+            if found is not None:
+                ends[k], long[k] = found, True
     gap = float(_gaps(starts, samples)[1].max(initial=0.0))
     return Growth(starts, many, ends, long, samples.failed & ~long, gap)
 
@@ -232,7 +235,35 @@ def path(many: Solutions, k: int, end: float) -> tuple[np.ndarray, np.ndarray]:
     return times, many[[k]](times)[0]
 
 
-def arc_lengths(states: np.ndarray) -> np.ndarray:
-    """Arc length from the first state to each, by chords, shape (n,)."""
-    chords = np.linalg.norm(np.diff(states, axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(chords)])
+def arc_length(many: Solutions, k: int, end: float) -> float:
+    """Arc length of a member up to an end."""
+    times, rates = _speeds(many, k, end)
+    return float(np.abs(np.diff(times)) @ rates @ collocation(_NODES).integration[-1])
+
+
+def _speeds(many: Solutions, k: int, end: float) -> tuple[np.ndarray, np.ndarray]:
+    """Times of a member up to an end, and |dz/dt| at the nodes between them, (n,), (n - 1, m)."""
+    times, _ = path(many, k, end)
+    nodes = (times[:-1, None] + np.diff(times)[:, None] * collocation(_NODES).nodes).ravel()
+    rates = flow_of(many.H).vector_field(many[[k]](nodes)[0], nodes)
+    return times, np.linalg.norm(rates, axis=1).reshape(-1, _NODES)
+
+
+def _end_at(many: Solutions, k: int, end: float, length: float) -> float | None:
+    """The time up to which a member has an arc length, or None if it is not before an end."""
+    rule = collocation(_NODES)
+    times, rates = _speeds(many, k, end)
+    steps = np.diff(times)
+    along = np.cumsum(np.abs(steps) * (rates @ rule.integration[-1]))
+    if not (len(along) and along[-1] >= length):
+        return None
+    piece = int(np.argmax(along >= length))
+    inside = np.abs(steps[piece]) * (rule.integration[:-1] @ rates[piece])
+    rest = length - (along[piece - 1] if piece else 0.0)
+
+    def excess(share: float) -> float:
+        return float((rule.interpolation(np.array([share])) @ inside)[0]) - rest
+
+    crossed = excess(0.0) < 0 < excess(1.0)
+    share = brentq(excess, 0.0, 1.0) if crossed else float(excess(0.0) < 0)
+    return float(times[piece] + share * steps[piece])

@@ -14,7 +14,7 @@ from hamsym.dynamics.equilibrium import Equilibrium
 from hamsym.errors import InputError
 from hamsym.families.solutions import Solutions
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.invariant_manifolds.growth import Growth, Starts, arc_lengths, grow, path
+from hamsym.invariant_manifolds.growth import Growth, Starts, arc_length, grow, path
 from hamsym.invariant_manifolds.origins import Departure, Origin, departure
 from hamsym.orbits.orbit import PeriodicOrbit
 from hamsym.support.shown import Drawn, Shown
@@ -162,7 +162,8 @@ class Manifold(Drawn, Shown):
     @property
     def lengths(self) -> np.ndarray:
         """Arc lengths of the trajectories, in the 2-norm of z in the units of H, shape (n,)."""
-        return np.array([arc_lengths(z)[-1] for _, z in self.paths])
+        ends = self.ends.tolist()
+        return np.array([arc_length(self.trajectories, k, end) for k, end in enumerate(ends)])
 
 
 @suggest_attributes

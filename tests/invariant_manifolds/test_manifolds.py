@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import quad, solve_ivp
 
 import hamsym
 from hamsym import InputError
@@ -163,7 +163,12 @@ def test_ring_is_spaced() -> None:
 def test_length_ends_trajectories() -> None:
     found = _saddle("p**2/2 - cos(x)").manifolds(length=3)
     assert found.success
-    np.testing.assert_allclose(found.unstable.lengths, 3, rtol=1e-3)
+    np.testing.assert_allclose(found.unstable.lengths, 3, rtol=1e-9)
+    for k, end in enumerate(found.unstable.ends):
+        # along p = 2 cos(x/2): dx/ds = 1/sqrt(1 + sin(x/2)**2)
+        x = found.unstable.trajectories[k](np.array([found.unstable.span[0], end]))[:, 0]
+        exact = abs(quad(lambda x: math.sqrt(1 + math.sin(x / 2) ** 2), *x, epsabs=1e-12)[0])
+        assert abs(exact - 3) < 1e-8
     assert np.isnan(found.unstable(found.unstable.span[1])).all()
     short = _saddle("p**2/2 - cos(x)").manifolds(length=30)  # the separatrix has 7.29
     assert not short.success
