@@ -46,6 +46,8 @@ class Signal(NamedTuple):
     first: Observable
     second: Observable | None = None
     is_scaled: bool = False
+    #: Values of the parameters of a trajectory, shape (k,).
+    parameters: np.ndarray | None = None
 
     @property
     def parts(self) -> list[Observable]:
@@ -59,12 +61,15 @@ class Signal(NamedTuple):
         """c, for equal sizes."""
         if self.second is None or not self.is_scaled:
             return 1.0
-        sizes = np.ptp(self.first(z, t)), np.ptp(self.second(z, t))
+        sizes = [np.ptp(part(z, t, self.parameters)) for part in self.parts]
         return float(sizes[0] / sizes[1]) if sizes[0] and sizes[1] else 1.0
 
     def value(self, z: np.ndarray, t: np.ndarray, ratio: float) -> np.ndarray:
-        first = np.broadcast_to(np.asarray(self.first(z, t), dtype=float), t.shape)
-        return first if self.second is None else first - 1j * ratio * self.second(z, t)
+        first, *second = [
+            np.broadcast_to(np.asarray(part(z, t, self.parameters), dtype=float), t.shape)
+            for part in self.parts
+        ]
+        return first - 1j * ratio * second[0] if second else first
 
     def error(self, z: np.ndarray, t: np.ndarray, ratio: float, errors: np.ndarray) -> float:
         """The largest change of the signal by errors of the components."""
@@ -125,10 +130,11 @@ class Source:
 
         - claimed: What features that they do not show may change in the mean of the signal.
         """
-        count = _FEWEST
+        count, own = _FEWEST, self.parameters(place)
+        signal = signal._replace(parameters=own)
         while True:
             found = self._sampled(place, signal, count)
-            path = found.times, found.states, self.parameters(place)
+            path = found.times, found.states, own
             if follows(self.H, signal.parts, *path, claimed(found)):
                 return found, True
             count = 2 * len(found.times)

@@ -224,3 +224,13 @@ def test_members_with_other_parameters_have_frequencies() -> None:
         found = hamsym.frequencies(many, "x", count=1)
         assert found.success, found.message
         np.testing.assert_allclose(found.frequency[:, 0, 0], [1, 2], rtol=1e-3)
+
+
+def test_signals_of_members_have_their_own_parameters() -> None:
+    many = hamsym.solve_many(
+        "p**2/2 + k*x**2/2", [1, 0], (0, 60), tol=1e-10, parameters={"k": [1.0, 4.0]}
+    )
+    found = hamsym.frequencies(many, "k*x", ("p", "k*x"), count=2)
+    assert found.success
+    assert found.amplitude[:, 0, 0] == pytest.approx([1, 4], rel=1e-8)
+    assert np.nanmax(found.amplitude[:, 1], axis=1) == pytest.approx([1, 3], rel=1e-8)
