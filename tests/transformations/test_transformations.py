@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from typing import Any
 
 import mpmath
@@ -118,19 +119,30 @@ def test_brackets_of_the_old_variables(
 
 
 @pytest.mark.slow
-def test_motion_in_25_digits_on_both_sides() -> None:
-    for H, formulas, options, z0 in (CASES[0], CASES[3], CASES[4]):
-        found = H.transformed(formulas, **options)
-        start = found.to_new(z0)
-        with mpmath.workdps(25):
-            ends = []
-            for own, z in ((H, [*map(mpmath.mpf, z0)]), (found.H, None)):
-                rates = list(own.vector_field)
-                function = sympy.lambdify([*own.z, sympy.Symbol("t")], rates, "mpmath")
-                state = z if z is not None else [*map(mpmath.mpf, start.tolist())]
-                solution = mpmath.odefun(lambda t, y, f=function: f(*y, t), 0, state)
-                ends.append([float(v) for v in solution(1)])
-            assert np.abs(found.to_old(ends[1], 1.0) - ends[0]).max() < 1e-13
+@pytest.mark.parametrize(("H", "formulas", "options", "z0"), CASES)
+def test_motion_in_50_digits_on_both_sides(
+    H: Hamiltonian, formulas: dict[str, Any], options: dict[str, Any], z0: list[float]
+) -> None:
+    found, time = H.transformed(formulas, **options), sympy.Symbol("t", real=True)
+
+    def function(own: Hamiltonian, rows: list[sympy.Expr]) -> Callable[..., list[mpmath.mpf]]:
+        form = own.real_equations
+        values = {symbol: sympy.Rational(value) for symbol, value in form.parameters.values()}
+        return sympy.lambdify([*form.z, time], [row.xreplace(values) for row in rows], "mpmath")
+
+    end = mpmath.mpf(1) / 4
+
+    def moved(own: Hamiltonian, start: list[mpmath.mpf]) -> list[mpmath.mpf]:
+        rates = function(own, [*own.real_equations.vector_field])
+        return list(mpmath.odefun(lambda t, y: rates(*y, t), 0, start)(end))
+
+    with mpmath.workdps(50):
+        known, symbols = found.formulas, dict(zip(H.names, H.real_equations.z, strict=True))
+        old = function(found.H, [known.get(name, symbols[name]) for name in H.names])
+        start = [*map(mpmath.mpf, found.to_new(z0).tolist())]
+        new = moved(found.H, start)
+        apart = mpmath.matrix(old(*new, end)) - mpmath.matrix(moved(H, old(*start, 0)))
+        assert mpmath.norm(apart, mpmath.inf) < 1e-45
 
 
 def test_readable_hamiltonians() -> None:
