@@ -116,9 +116,8 @@ def _unexplained(observed: Observations, found: Found, count: int, k: int) -> li
             f"successive residuals are correlated, {correlation / squares:.2f}, so that the model "
             "does not fit, and sigma cannot be estimated; try other first guesses, or give sigma"
         )
-    least = count + _CORRELATED * np.sqrt(2 * count)  # by which noise alone lets squares fall
     about_mean = float(np.nansum((data - np.nanmean(data, axis=1, keepdims=True)) ** 2))
-    if not least * squares <= (about_mean - squares) * (number - count):
+    if not squares * number <= about_mean * (number - count):
         texts.append(
             "the model fits no better than the mean of the data; try other first guesses, or give "
             "sigma"
