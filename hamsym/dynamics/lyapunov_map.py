@@ -366,7 +366,7 @@ class _Run:
                     f"the motion has rates up to {fastest[i]:.2g}: give a dt that resolves them"
                 )
             problems.append(problem)
-        good = np.array([k for k, problem in enumerate(problems) if not (problem or again[k])], int)
+        good = np.flatnonzero([not problem for problem in problems])
         members = self._members.some(index[good])
         passed = first_passed(
             members, self._method, times[0], (times[-1] - times[0]) / steps, steps

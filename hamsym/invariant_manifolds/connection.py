@@ -361,8 +361,8 @@ def connection_of(
     """Judge a solution of the boundary-value problem."""
     first, _ = met.solutions
     ends = [np.asarray(solution.error_estimate(solution.span[1])) for solution in met.solutions]
-    error = float((np.abs(np.array(ends)) / met.scale).max())
-    error = max(error, *(side.local_error(tol) for side in met.sides))
+    at_section = (np.abs(np.array(ends)) / met.scale).max()
+    error = float(np.max([at_section, *(side.local_error(tol) for side in met.sides)]))
     success, message = True, f"both parts meet to {met.mismatch:.1e}"
     if not met.mismatch <= tol:
         success, message = False, f"both parts miss each other by {met.mismatch:.1e}"

@@ -86,7 +86,9 @@ class Departure:
         """
         u = self.coordinates(directions, phases)
         error = error_behind(self.around, self.local, self.multipliers, u, least)
-        return replace(self, local=replace(self.local, error=max(self.local.error, error)))
+        return replace(
+            self, local=replace(self.local, error=float(np.maximum(self.local.error, error)))
+        )
 
     def by_phase(self, direction: np.ndarray, phase: float) -> np.ndarray:
         """Derivative of a start by its phase, shape (dim,)."""
@@ -147,15 +149,15 @@ def _of_equilibrium(origin: Equilibrium, sign: int, wanted: float) -> Departure:
     rates, vectors = _eigenvectors(matrix, np.sort(origin.eigenvalues.real)[::-1][:count].min() / 2)
     if len(rates) != count:
         raise InputError("eigenvalues of the equilibrium are too near to zero to be told apart")
-    slowest, field = 1 / float(rates.real.min()), _field(H, 0.0, sign)
-    flow = Flow(z, matrix, coupling, slowest, field)
+    slowest, vector_field = 1 / float(rates.real.min()), _field(H, 0.0, sign)
+    flow = Flow(z, matrix, coupling, slowest, vector_field)
     radii = np.array([_radius(flow, vectors[:, k], rates[k]) for k in range(count)])
     for k in np.flatnonzero(rates.imag > 0):
         radii[k : k + 2] = radii[k : k + 2].min()
     local = parameterized(flow, rates, vectors * radii, 1.0, wanted)
     time = math.log(_GROWTH) * slowest
-    map_of = _map_of(H, (0.0, sign * time))
-    around = PeriodMap(z, scipy.linalg.expm(matrix * time), coupling, slowest, None, map_of, field)
+    derivative, image = scipy.linalg.expm(matrix * time), _map_of(H, (0.0, sign * time))
+    around = PeriodMap(z, derivative, coupling, slowest, None, image, vector_field)
     return Departure(H, local, sign, 0.0, rates, None, slowest, around, np.exp(rates * time))
 
 

@@ -12,6 +12,7 @@ import scipy.linalg
 
 import hamsym
 from hamsym import ChaosIndicators, Hamiltonian, InputError
+from hamsym.dynamics import lyapunov_map
 from hamsym.dynamics.growth import first_vectors
 from hamsym.integrators.stepper import Stepper
 from hamsym.systems import henon_heiles, pendulum
@@ -444,6 +445,16 @@ def test_exponents_of_many_starts_are_refused_behind_a_barrier():
     assert found.success.tolist() == [False, True, True]
     assert "near t = 1.55845 the force has a feature" in found.message[0]
     assert np.isnan(found.exponents[0]).all()
+
+
+def test_members_that_would_need_another_repetition_are_searched(monkeypatch):
+    # The motion reaches 2.3 times the rate for which its steps are chosen, which is good enough.
+    monkeypatch.setattr(lyapunov_map, "_REPETITIONS", 0)
+    free, starts = "p**2/2 + x**4/4", [[0.3, 1.2], [0.3, 1.2]]
+    assert hamsym.lyapunov(free, starts, (0, 1000)).success.all()
+    found = hamsym.lyapunov(f"{free} + exp(-((x - 0.5123456)/1e-7)**2)", starts, (0, 1000))
+    assert not found.success.any()
+    assert "the force has a feature" in found.message[0]
 
 
 def test_monodromy_does_not_round_the_period_at_a_late_start():
