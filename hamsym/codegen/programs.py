@@ -147,14 +147,13 @@ class _Steps(Graph):
                 copies.append((place, first + k))
             else:
                 own[place] = first + k
-        last = {argument: place for place, node in enumerate(nodes) for argument in node.arguments}
+        order = [place for place in self._order(nodes, results) if place not in row_of]
+        last = {argument: place for place in order for argument in nodes[place].arguments}
         free: list[int] = []
         rows = itertools.count(first + len(results))
         steps, most = [], first + len(results)
-        needed = self._needed(nodes, results)
-        for place, node in enumerate(nodes):
-            if place in row_of or place not in needed:
-                continue
+        for place in order:
+            node = nodes[place]
             arguments = [row_of[argument] for argument in node.arguments]
             row = own.get(place)
             if row is None:
@@ -169,12 +168,18 @@ class _Steps(Graph):
         return list(self._numbers.values()), most - first - len(results), steps
 
     @staticmethod
-    def _needed(nodes: Sequence, results: Sequence[int]) -> set[int]:
-        """The places that results are computed from."""
+    def _order(nodes: Sequence, results: Sequence[int]) -> list[int]:
+        """The places that results are computed from; a sine and its cosine together."""
         found, waiting = set(), list(results)
         while waiting:
             place = waiting.pop()
             if place not in found:
                 found.add(place)
                 waiting += nodes[place].arguments
-        return found
+        turned: dict[tuple[int, ...], int] = {}  # the first of both
+        keys = {}
+        for place in sorted(found):
+            kind, arguments = nodes[place].kind, nodes[place].arguments
+            first = turned.setdefault(arguments, place) if kind in ("sin", "cos") else place
+            keys[place] = first, kind == "cos"
+        return sorted(found, key=keys.__getitem__)

@@ -142,8 +142,7 @@ static void perform(enum operation operation, const disc *a, const disc *b, disc
     case RECIPROCAL: reciprocal(a, out); break;
     case ROOT: root(a, out); break;
     case SIN: case COS:
-      hamsym_sin(a->middle, one, DISCS);
-      hamsym_cos(a->middle, other, DISCS);
+      hamsym_sin_cos(a->middle, one, other, DISCS);
       turn(a, operation == SIN ? one : other, operation == SIN ? other : one, out);
       break;
     case SINH: case COSH:

@@ -21,7 +21,7 @@ void run_values(const series_step *program, long steps, double *rows, long n) {
       case INVERSE: for (long c = 0; c < n; c++) out[c] = 1 / a[c]; break;
       case INVERSE_ROOT: for (long c = 0; c < n; c++) out[c] = a[c] > 0 ? 1 / sqrt(a[c]) : NAN; break;
       case EXPONENTIAL: hamsym_exp(a, out, n); break;
-      case SINE_COSINE: hamsym_sin(a, out, n), hamsym_cos(a, b, n); break;
+      case SINE_COSINE: hamsym_sin_cos(a, out, b, n); break;
       case REDUCED_ANGLE: fill(out, NAN, n); break; /* it is part of what does not depend on the state */
       default: functions[program->operation - LOGARITHM](a, out, n);
     }

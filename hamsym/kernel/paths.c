@@ -7,8 +7,8 @@
 #include "arena.h"
 #include "functions.h"
 
-#define BLOCK 16
-#define CUT (EPS / 64) /* terms of a series that are left out, as a share of all, with the weights of a derivative */
+#define BLOCK 32
+#define CUT (EPS / 1024) /* a term that is left out, as a share of all, with the weight of a derivative */
 
 /* Paths in consecutive rows: the edges and states of one begin at its first edge, its readouts at its first window. */
 typedef struct {
@@ -41,13 +41,11 @@ static long window_series(const paths *p, const double *readout, int slopes, dou
   products(p->series, p->columns, terms, rows, dim, series);
   for (long i = 0; i < dim; i++) {
     const double *own = series + i * terms;
-    double total = 0.0, rest = 0.0;
+    v4 sums = spread(0.0);
+    for (long k = 0; k < terms; k += 4) sums += size4(load(own + k));
+    double most = CUT * ((sums[0] + sums[1]) + (sums[2] + sums[3]));
     long last = terms;
-    for (long k = 0; k < terms; k++) total += fabs(own[k]);
-    for (; last > used; last--) {
-      rest += last * last * fabs(own[last - 1]);
-      if (!(rest <= CUT * total)) break;
-    }
+    while (last > used && last * last * fabs(own[last - 1]) <= most) last--;
     used = last;
   }
   for (long i = 1; i < dim; i++) memmove(series + i * used, series + i * terms, used * sizeof *series);

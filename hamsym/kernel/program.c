@@ -125,5 +125,9 @@ void run(machine *m, const double *states, const double *times, long n, double *
   double **result = row + p->dim + 1 + p->parameters + p->numbers;
   for (long r = 0; r < p->results; r++) result[r] = out + r * n;
   for (const step *s = p->step, *end = s + p->steps; s < end; s++)
-    perform(s->operation, row[s->first], row[s->second], row[s->out], n);
+    if (has_both(s, end)) {
+      hamsym_sin_cos(row[s->first], row[s->out], row[s[1].out], n);
+      s++;
+    } else
+      perform(s->operation, row[s->first], row[s->second], row[s->out], n);
 }

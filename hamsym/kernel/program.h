@@ -33,6 +33,11 @@ typedef struct {
   double **row;
 } machine;
 
+/* Whether a step and the next one are the sine and the cosine of one row, which come together. */
+INLINE int has_both(const step *s, const step *end) {
+  return s->operation == SIN && s + 1 < end && s[1].operation == COS && s[1].first == s->first && s->out != s->first;
+}
+
 /* How many rows a program has. */
 long all_rows(const program *program);
 /* Doubles that a machine needs for rows of at most `stride` numbers. */

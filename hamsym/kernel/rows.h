@@ -144,12 +144,28 @@ static inline double weighted_sum(const double *row, const double *weights, cons
   return total + rest;
 }
 
+/* Chebyshev polynomials at `width` vectors of places, a constant, in registers: a step waits for the one before. */
+INLINE void recur(const double *x, long terms, long n, int width, double *out) {
+  v4 twice[4], last[4], now[4];
+  for (int j = 0; j < width; j++) {
+    now[j] = load(x + 4 * j);
+    twice[j] = spread(2.0) * now[j];
+    last[j] = spread(1.0);
+  }
+  for (long k = 0; k < terms; k++, out += n)
+    for (int j = 0; j < width; j++) {
+      v4 next = twice[j] * now[j] - last[j];
+      store(out + 4 * j, last[j]);
+      last[j] = now[j];
+      now[j] = next;
+    }
+}
+
 /* Chebyshev polynomials at x, a row of n numbers for each degree below `terms`. */
 static inline void chebyshev_rows(const double *x, long terms, long n, double *out) {
-  for (long k = 0; k < terms; k++)
-    for (long c = 0; c < n; c++)
-      out[k * n + c] =
-          k == 0 ? 1.0 : k == 1 ? x[c] : 2.0 * x[c] * out[(k - 1) * n + c] - out[(k - 2) * n + c];
+  long c = 0;
+  for (; c + 16 <= n; c += 16) recur(x + c, terms, n, 4, out + c);
+  if (c < n) recur(x + c, terms, n, 2, out + c);
 }
 
 /* -- one row ----------------------------------------------------------------------------------- */

@@ -242,6 +242,17 @@ def test_neighbours_do_not_change_results(library: ctypes.CDLL, name: str) -> No
     assert function(*rows)[order].tobytes() == function(*(row[order] for row in rows)).tobytes()
 
 
+def test_sine_and_cosine_together_are_those_alone(library: ctypes.CDLL) -> None:
+    special = [0.0, -0.0, TINY, INF, -INF, NAN, 1e300, -1e5, 1e22]
+    x = np.concatenate([arguments_of("sin"), special])
+    x = np.concatenate([x, np.ones(-len(x) % 8)])
+    both = np.empty((2, len(x)))
+    places = (ctypes.c_void_p(row.ctypes.data) for row in (x, *both))
+    library.hamsym_sin_cos(*places, ctypes.c_long(len(x)))
+    for name, values in zip(("sin", "cos"), both, strict=True):
+        assert values.tobytes() == row_function(library, name)(x).tobytes()
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="options of the linker of Linux")
 def test_functions_call_no_library(tmp_path: Path) -> None:
     compiled(tmp_path, "alone", "cc", "-O3", "-nostdlib", "-Wl,-z,defs")

@@ -12,6 +12,7 @@ from hamsym.kernel import loops
 from hamsym.systems import CATALOGUE
 
 X, Y = sympy.symbols("x y", real=True)
+SINE, COSINE = 11, 12  # operations of the library
 
 
 @pytest.mark.slow_cases("argon_crystal", "pleiades")
@@ -42,7 +43,8 @@ def test_programs_are_the_equations(name: str) -> None:
     """x*y - 3*x/7; x**5 + y**(-3); x**2.5 - 1/sqrt(y); x**y; pi*x + sqrt(2); atan2(x, y);
     abs(x - 2); sign(x - 1); Min(x, y, 1); Max(x, y, 2); tan(x) + acot(y); E**x; tanh(x);
     sinh(x) - cosh(y); asinh(x) + acosh(y + 1); atanh(x/9); erf(x); asin(x/9) - acos(y/9); log(x);
-    sec(x) + csc(y); x; 3; Heaviside(x - 1)""".split(";"),
+    sec(x) + csc(y); x; 3; Heaviside(x - 1); cos(x)*sin(y*cos(x)) + sin(x);
+    cos(sin(x)) + sin(sin(x)) + sin(cos(x)) - cos(cos(x))""".split(";"),
 )
 def test_formulas_have_the_values_of_sympy(formula: str) -> None:
     expression = sympy.sympify(formula, {"x": X, "y": Y})
@@ -50,6 +52,32 @@ def test_formulas_have_the_values_of_sympy(formula: str) -> None:
     found = program_of([expression], [X, Y], None, [])(z, np.zeros(13), np.empty(0))
     wanted = [expression.evalf(20, subs={X: x, Y: y}) for x, y in z.T]
     np.testing.assert_allclose(found[0], np.array(wanted, dtype=float), rtol=1e-14, atol=1e-15)
+
+
+def test_sine_and_cosine_of_a_row_follow_each_other() -> None:
+    program = program_of([sympy.cos(X * Y) + Y * sympy.sin(X * Y)], [X, Y], None, [])
+    kinds = program.arrays["step"][:, 0].tolist()
+    assert kinds.index(SINE) + 1 == kinds.index(COSINE)
+
+
+@pytest.mark.parametrize(
+    ("rows", "wanted"),
+    [
+        (((2, 3), (4, 3)), np.sin),  # (row of the result, row of the argument)
+        (((2, 3), (3, 3)), np.sin),  # the cosine replaces the argument
+        (((2, 3), (2, 3)), np.cos),  # or the sine
+        (((3, 3), (2, 3)), lambda x: np.cos(np.sin(x))),
+        (((2, 3), (2, 2)), lambda x: np.cos(np.sin(x))),
+    ],
+)
+def test_pairs_have_the_values_of_steps_one_by_one(rows, wanted) -> None:
+    """Rows are x, the time, the result and two intermediate values, the first of which is x."""
+    (sine, of), (cosine, of_other) = rows
+    steps = [(0, 3, 0, 0), (SINE, sine, of, of), (COSINE, cosine, of_other, of_other)]
+    program = loops.Program(1, 0, 1, intermediates=2, steps=steps)
+    x = np.linspace(-4.0, 4.0, 8)
+    found = program(x[None], np.zeros(8), np.empty(0))[0]
+    np.testing.assert_allclose(found, wanted(x), atol=1e-15)
 
 
 def test_results_may_repeat_inputs_and_numbers() -> None:
