@@ -12,6 +12,7 @@
 #define OSCILLATING 0.15
 #define FEW 400         /* windows in which the rounding of a table, alike in all of them, is less than round-off */
 #define ITERATIONS 60
+#define LEAST_SIZE 1e-280 /* of vectors, whose reciprocal relative to an accuracy is finite */
 #define KEPT 8          /* windows after one that coarse nodes do not resolve, in which they are not tried */
 
 void lay_out_errors(carrying *m, arena *arena, const equations *H, const error_tables *t, const actions *a) {
@@ -78,7 +79,7 @@ static void apply(const carrying *m, const term *first, const term *end, const d
    times a factor. */
 static void weigh(carrying *m, long dim, long n, double factor) {
   for (long i = 0; i < dim; i++) {
-    double size = TINY;
+    double size = LEAST_SIZE;
     for (long row = i * m->each; row < (i + 1) * m->each; row++) {
       const double *values = m->vectors + row * n;
       size = larger(larger(fabs(values[0]), larger(fabs(values[(n - 1) / 2]), fabs(values[n - 1]))), size);
