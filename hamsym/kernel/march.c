@@ -205,19 +205,21 @@ static int iterate(marching *m, const equations *H, const tables *t, const setti
   return 0;
 }
 
-/* Largest defect in units of the allowed one; NaN if there is one. No window is short enough to bring
-   the residual below the round-off of the rates. */
-static double worst(const marching *m, const settings *s, long dim, double length) {
+/* Largest defect, without a share of its round-off, in units of the allowed one; NaN if there is one. No window is
+   short enough to bring the residual below the round-off of the rates. */
+static double worst(const marching *m, const settings *s, long dim, double length, double share) {
   double found = 0.0;
   for (long i = 0; i < dim; i++) {
     double allowed = s->tolerance * greater(m->sizes[i], s->floor[i]) + ROUND_OFF * length * m->speeds[i];
-    found = larger(m->defects[i] / (greater(allowed, TINY) + m->noise[i]), found);
+    double defect = larger(m->defects[i] - share * m->noise[i], 0.0);
+    found = larger(defect / (greater(allowed, TINY) + m->noise[i]), found);
   }
   return found;
 }
 
 /* Compare the residual between the nodes of a window with the tolerance: the largest ratio to the allowed
-   one. m->sizes has the largest magnitudes of the components so far, this window included. */
+   one, and in m->beyond that without round-off. m->sizes has the largest magnitudes of the components so far, this
+   window included. */
 static double judge(marching *m, const equations *H, const tables *t, const settings *s, progress *p,
                     const double *z, double h) {
   long dim = H->dim, n = t->between;
@@ -235,12 +237,13 @@ static double judge(marching *m, const equations *H, const tables *t, const sett
     m->noise[i] = 0.0;
   }
   p->counts[1]++;
-  double error = worst(m, s, dim, length);
-  if (error <= GOOD) return error;
+  m->beyond = worst(m, s, dim, length, 0.0);
+  if (m->beyond <= GOOD) return m->beyond;
   /* Where large terms cancel, the round-off is many units of the rates. */
   p->counts[1]++;
   round_off(m, s, dim, n, m->middle, m->late, m->flow, NOISE * length);
-  return worst(m, s, dim, length);
+  m->beyond = worst(m, s, dim, length, 1.0);
+  return worst(m, s, dim, length, 0.0);
 }
 
 /* -- the march --------------------------------------------------------------------------------- */
@@ -333,8 +336,9 @@ int march(marching *m, const equations *H, const tables *t, const settings *s, p
     counts[0]++;
     failures = 0;
     products(t->extrapolation, t->nodes, t->terms, p->found, dim, p->tail);
-    double growth = lesser(GROW, power(AIM / greater(error, 1e-30), 1.0 / t->order));
-    if (error <= GOOD) growth = greater(growth, 1.0);
+    /* Shorter windows have no less round-off. */
+    double growth = lesser(m->beyond < error ? LATER : GROW, power(AIM / greater(m->beyond, 1e-30), 1.0 / t->order));
+    if (m->beyond <= GOOD) growth = greater(growth, 1.0);
     last_length = length;
     clock[1] = lesser(length * (slow ? SHRINK : growth), s->patient ? RETRIED * failed : INFINITY);
     failed *= LATER;

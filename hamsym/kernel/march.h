@@ -61,6 +61,7 @@ typedef struct {
   v4 *changes;
   double *times, *basis, *base, *drifted, *nearby, *readout, *late, *middle, *flow, *residual, *disturbed;
   double *scale, *weight, *sizes, *defects, *speeds, *noise;
+  double beyond; /* largest residual of the last window beyond its round-off, in units of the allowed one */
 } marching;
 
 void take_machine(arena *arena, machine *machine, const program *program, long stride);

@@ -51,7 +51,7 @@ _PERTURBATIONS = {16: (2, 5.0), 24: (4, 3.0)}
 _PERIOD = 509  # windows after which the signs of the perturbations repeat
 # Of the vectors after all windows, and the least number of these. What is left at the peak of a
 # close passage remains, when the errors shrink again by orders of magnitude.
-ACCURACY, FEWEST = 1e-3, 10.0
+ACCURACY, FEWEST = 1e-4, 10.0
 _EPS = float(np.finfo(float).eps)
 _BESIDE = 16.0  # roundings from a time at which H may switch to one before or after
 _SCALE_SAMPLES = 256  # windows at which the coupling of the components is averaged

@@ -25,7 +25,7 @@ import scipy
 
 from hamsym.kernel import loops
 from hamsym.numerics.linear_systems import solved
-from hamsym.numerics.scales import floored_sizes, smallest_sizes
+from hamsym.numerics.scales import SMALLEST, floored_sizes, smallest_sizes
 from hamsym.random_features.basis import FeatureBasis
 from hamsym.random_features.flow import Flow
 from hamsym.random_features.window_checks import Failure, WindowChecks
@@ -60,6 +60,7 @@ def march(
     breakpoints: Sequence[float] = (),
     longest: float = math.inf,
     max_windows: int = MAX_WINDOWS,
+    absolute: np.ndarray | float = 0.0,
 ) -> March:
     """March windows over a span, each to a local tolerance relative to each component's size.
 
@@ -68,8 +69,11 @@ def march(
     - longest: Length that no window exceeds, but for a millionth of it.
     - max_windows: The march also ends early where more than ten times as many will clearly be
       needed.
+    - absolute: Size, shape (dim,), relative to which the tolerance may be, where the terms of its
+      own equation give a component at least that.
     """
-    return _Marching(flow, z0, span, tolerance, basis, breakpoints, longest, max_windows).run()
+    limits = longest, max_windows, absolute
+    return _Marching(flow, z0, span, tolerance, basis, breakpoints, *limits).run()
 
 
 class _Buffer:
@@ -109,6 +113,7 @@ class _Marching:
         breakpoints: Sequence[float],
         longest: float,
         max_windows: int,
+        absolute: np.ndarray | float,
     ) -> None:
         self._began, self._cpu_began = time.perf_counter(), time.thread_time()
         self._flow, self._basis = flow, basis
@@ -119,7 +124,7 @@ class _Marching:
         self._direction = 1.0 if self._end > self._start else -1.0
         self._stops = [*(t - self._origin for t in breakpoints), self._end]
         dim = len(z0)
-        self._tolerance, self._longest = tolerance, longest
+        self._tolerance, self._longest, self._absolute = tolerance, longest, absolute
         self._floors = np.zeros(dim)
         self._shortest = shortest_window(self._start, self._end)
         # Just inside the span: at the start a switch in time has neither of its values.
@@ -285,7 +290,8 @@ class _Marching:
         z, t = windows.states[places], windows.edges[places]
         coupling = np.abs(self._flow.jacobian(z, t)).mean(axis=0)
         smallest = smallest_sizes(self._sizes, coupling, self._whole)
-        self._floors = np.maximum(self._floors, smallest)
+        counted = np.minimum(self._absolute, smallest / SMALLEST)
+        self._floors = np.maximum(self._floors, np.maximum(smallest, counted))
 
     def _look_ahead(self) -> None:
         """Raise the floors to a share of the sizes that components have later, and begin again.

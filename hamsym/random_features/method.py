@@ -43,7 +43,7 @@ from hamsym.solution.discontinuities import first_jump
 from hamsym.solution.settings import Settings
 from hamsym.solution.solution import Solution
 from hamsym.solution.times import shown_time
-from hamsym.solution.window_error import allowed_errors
+from hamsym.solution.window_error import allowed_errors, relative_tolerance
 
 _SMALL_BASIS = 1e-10  # tolerance from which the small basis takes less time
 # Local tolerance of the first march, relative to the tolerance, and at most: longer windows take as
@@ -51,6 +51,7 @@ _SMALL_BASIS = 1e-10  # tolerance from which the small basis takes less time
 _LOCAL, _MOST_LOCAL = 0.1, 1e-8
 _ATTEMPTS = 6
 _LOOSER, _NEAR_ROUND_OFF = 4.0, 1e-11  # local tolerance of a march after one that is in doubt
+_MOST_NAMES = 6  # in a message
 _JUMP_SAMPLES = 25  # of a window, in the search for jumps of the force
 
 
@@ -189,6 +190,7 @@ def solve_by_march(problem: InitialValueProblem, method: Features, basis: Featur
                 basis,
                 breakpoints=stops,
                 longest=accuracy.longest,
+                absolute=accuracy.absolute / relative_tolerance(accuracy.tol),
             )
             if not len(windows.readouts):
                 break
@@ -262,8 +264,12 @@ class _Attempt:
         floors = self.estimate.error.floors
         floors = floors[np.isfinite(floors).all(axis=1)].max(axis=0, initial=0.0)
         limit = self.estimate.limit
-        if not (floors <= 0.3 * self.allowed).all():
+        rounded = ~(floors <= 0.3 * self.allowed)
+        if rounded.any():
             cause = "limited by float64 round-off, beyond which hamsym.enclose goes on"
+            if (self.windows.scale < self.estimate.error.scale)[rounded].all():
+                names = ", ".join(np.array(self.solution.H.names)[rounded][:_MOST_NAMES])
+                cause = f"limited by float64 round-off of {names}, whose terms cancel: give atol"
             return f"{cause}; {limit}" if limit else cause
         return limit or "the march could not be made accurate enough"
 

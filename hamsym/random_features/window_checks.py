@@ -28,6 +28,7 @@ from hamsym.bounds.residual import (
 )
 from hamsym.kernel import loops
 from hamsym.numerics.collocation import collocation
+from hamsym.numerics.scales import ratios
 from hamsym.random_features.basis import FeatureBasis
 from hamsym.random_features.flow import Flow
 from hamsym.random_features.windows import Windows
@@ -182,10 +183,9 @@ class WindowChecks:
                 between = np.fmin(between, bounds + np.abs(residual).max(axis=1))
                 shown = rule.interpolation(parts.places(NODES).ravel())
                 shown = shown.reshape(len(parts), len(NODES), -1) @ known[parts.window]
-                shares = (lengths / limits.T).T[parts.window]
-                shares *= parts.width[:, None]
-                between = shares * between
-                beside = shares * (weights @ (residual - shown))
+                long = (lengths[parts.window] * parts.width)[:, None]
+                between = ratios(long * between, limits[parts.window])
+                beside = long * (weights @ (residual - shown)) / limits[parts.window]
                 beside = np.where(np.isfinite(beside), beside, 0.0)  # where there is no residual
                 least = np.maximum(parts.width, SHARE)[:, None]
                 small = HIDDEN * np.maximum(least, np.abs(beside))

@@ -149,6 +149,50 @@ def test_absolute_tolerance_loosens() -> None:
     assert tight.message != loose.message
 
 
+def _ring(count: int, angle: float) -> tuple[Hamiltonian, dict[str, float]]:
+    """Equal masses that circle one in the middle, whose forces cancel."""
+    bodies = range(count + 1)
+    distances = (
+        f"sqrt((x{i} - x{j})**2 + (y{i} - y{j})**2)" for i in bodies for j in bodies if i < j
+    )
+    kinetic = " + ".join(f"(px{i}**2 + py{i}**2)/2" for i in bodies)
+    H = Hamiltonian(" - ".join([kinetic, *(f"1/{distance}" for distance in distances)]))
+    z0 = {f"{name}0": 0.0 for name in ("x", "y", "px", "py")}
+    rate = math.sqrt(1 + sum(1 / math.sin(math.pi * k / count) for k in range(1, count)) / 4)
+    for k in range(count):
+        turn = angle + 2 * math.pi * k / count
+        z0 |= {f"x{k + 1}": math.cos(turn), f"y{k + 1}": math.sin(turn)}
+        z0 |= {f"px{k + 1}": -rate * math.sin(turn), f"py{k + 1}": rate * math.cos(turn)}
+    return H, z0
+
+
+@pytest.mark.parametrize(("count", "angle"), [(2, 0.3), (4, 0.1), (3, 1.0)])
+def test_components_that_are_round_off_leave_windows_long(count: int, angle: float) -> None:
+    H, z0 = _ring(count, angle)
+    solution = hamsym.solve(H, z0, (0, 2), atol=1e-10)
+    assert solution.success
+    assert len(solution.trial.readouts) < 50
+    assert abs(solution(2.0)[H.names.index("x0")]) < 1e-12
+    turn = angle + 2 * abs(complex(z0["px1"], z0["py1"]))
+    assert abs(solution(2.0)[H.names.index("x1")] - math.cos(turn)) < 1e-9
+    refused = hamsym.solve(H, z0, (0, 2), tol=1e-10)
+    assert not refused.success
+    assert "round-off of x0, y0, px0, py0, whose terms cancel: give atol" in refused.message
+    assert len(refused.trial.readouts) < 2_000
+
+
+def test_components_at_rest_leave_the_others_their_bounds() -> None:
+    """Bounds on what places leave out of the residual are zero relative to a size of zero."""
+    H = Hamiltonian("(px**2 + py**2)/2 + y + 10*(sqrt(x**2 + y**2) - 1)**2")
+    solution = hamsym.solve(H, {"x": 0, "y": -1.3, "px": 0, "py": 0}, (0, 20))
+    assert solution.success, solution.message
+    t = np.linspace(0, 20, 33)
+    # A spring along its axis: a harmonic oscillator about y = -1.05.
+    exact = -1.05 - 0.25 * np.cos(math.sqrt(20) * t)
+    np.testing.assert_allclose(solution(t)[:, 1], exact, rtol=0, atol=1e-9)
+    assert not solution(t)[:, [0, 2]].any()
+
+
 def test_windows_join_exactly() -> None:
     problem = systems.kepler()
     solution = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9)
