@@ -176,7 +176,9 @@ def frequencies(
             found, rest[(*place, k)] = _analysed(source, place, signal, count)
             arrays[(slice(None), *place, k, slice(0, found.shape[1]))] = found
     frequency, amplitude, phase, error, drift = arrays
-    good = np.isfinite(error[..., 0]).all(axis=-1)
+    # A signal that is zero beside others, as that of a component at rest, has no frequency.
+    known, is_zero = np.isfinite(error[..., 0]), np.isnan(frequency[..., 0]) & (rest == 0)
+    good = (known | is_zero).all(axis=-1) & known.any(axis=-1)
     failed = int((~good).sum())
     message = f"up to {count} frequencies of {', '.join(s.text for s in read)}"
     if failed:
@@ -279,7 +281,7 @@ def _analysed(
     values = values.astype(complex)
     terms = _Terms.of(values, elapsed, count, signal.is_real)
     if not len(terms.omega):
-        return np.empty((5, 0)), 0.0
+        return np.empty((5, 0)), math.inf if missed else 0.0
     again = _Terms.of(terms.sum(elapsed), elapsed, len(terms.omega), signal.is_real, terms.omega)
     shifts = terms.omega - again.omega
     omega = terms.omega + shifts

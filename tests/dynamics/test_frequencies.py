@@ -189,6 +189,14 @@ def test_a_fixed_point_has_no_frequency_and_a_figure_says_so() -> None:
         found.plot()
 
 
+def test_components_at_rest_beside_others_have_no_frequency() -> None:
+    H = "(px**2 + py**2)/2 + x**2/2 + 2*y**2 + x**2*y"
+    found = hamsym.solve(H, {"x": 0, "y": 1, "px": 0, "py": 0}, (0, 60)).frequencies(count=1)
+    assert found.success
+    assert np.isnan(found.frequency[0, 0])
+    assert abs(found.frequency[1, 0]) == pytest.approx(2, abs=1e-6)
+
+
 def test_facts_list_the_terms() -> None:
     found = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 90)).frequencies()
     assert "x - i c p" in found.summary()
