@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hamsym.errors import InputError
-from hamsym.integrators.automatic_steps import AIM
+from hamsym.integrators.automatic_steps import AIM, fastest_rate
 from hamsym.integrators.coefficients import Doubled
 from hamsym.integrators.energy_drift import EnergyDrift
 from hamsym.integrators.hidden_features import Path, hidden_features
@@ -95,6 +95,8 @@ class Crossings:
         self.doubts = Doubts()
         self._last, self._interrupted = members.states, False
         self.done = 0
+        #: Fastest rate of the linear motion, from 0 on, where nothing else tests the steps.
+        self.fastest = 0.0
         self.drift = EnergyDrift(members.H, count, members.own_parameters())
 
     def advance_all(self, progress: bool | None) -> None:
@@ -143,6 +145,8 @@ class Crossings:
         found, doubts = _located(self._members, setting, path, times)
         self._found.append(found)
         self.drift.add(path)
+        if not self._members.H.conserves_energy:
+            self.fastest = max(self.fastest, fastest_rate(self._members, path, times))
         doubts = doubts._replace(hidden=self._passed_over(path, times))
         self.doubts = self.doubts.together(doubts)
         self._numbers += np.bincount(found[2], minlength=len(self._numbers))

@@ -13,8 +13,6 @@ import scipy
 STEPS_PER_RADIAN = 5
 #: Times the rate for which the steps were chosen at which they no longer resolve the motion.
 UNRESOLVED = 3.0
-#: Radians of the fastest linear motion in a step that resolves it, whoever chose the step.
-RESOLVED_ANGLE = UNRESOLVED / STEPS_PER_RADIAN
 #: E-folds by which one vector may outgrow another until both are parallel.
 PARALLEL = 30.0
 #: Outcome where they did.

@@ -68,7 +68,8 @@ class LyapunovExponents(Drawn, Shown):
     success : bool
         Whether the trajectory reached the end and kept H to 1 % of the energy that the motion
         exchanges (:mod:`hamsym.integrators.energy_drift`), or where H is not conserved, whether a
-        step is at most 0.6 rad of the fastest linear motion; independent of convergence.
+        step is at most 0.6 rad of the fastest linear motion and errs by at most 1 % of it;
+        independent of convergence.
     message : str
     """
 

@@ -21,7 +21,6 @@ import numpy as np
 from hamsym.dynamics.growth import (
     APART,
     PARALLEL,
-    RESOLVED_ANGLE,
     STEPS_PER_RADIAN,
     UNRESOLVED,
     first_vectors,
@@ -35,6 +34,7 @@ from hamsym.integrators.energy_drift import COARSE, EnergyDrift
 from hamsym.integrators.hidden_features import passed_over
 from hamsym.integrators.step_scales import fastest_rates
 from hamsym.integrators.stepper import Stepper
+from hamsym.integrators.table import resolved_angle, too_fast
 from hamsym.parallel.threads import Threads
 from hamsym.problems.ensemble import Ensemble
 from hamsym.problems.problem import MAX_STEPS
@@ -343,9 +343,9 @@ class _Run:
         fastest = self._fastest(index, path[:, ::every], times[::every])
         again = apart | (chosen & (coarse | ~(fastest <= _RESOLVED * rate)))
         rates = np.clip(self._class(fastest), 2 * rate, _FASTER * rate)
-        # Steps that are given are tested by the change of H, or by the rates where H may change.
-        given = np.inf if H.conserves_energy else RESOLVED_ANGLE * steps / self._length
-        most = UNRESOLVED * rate if chosen else given
+        most = UNRESOLVED * rate if chosen else math.inf
+        if not H.conserves_energy:  # which tests steps that are given
+            most = min(most, resolved_angle(self._method) * steps / self._length)
         problems = []
         for i in range(len(index)):
             problem = ""
@@ -362,9 +362,7 @@ class _Run:
                     "smaller dt"
                 )
             elif not fastest[i] <= most:
-                problem = (
-                    f"the motion has rates up to {fastest[i]:.2g}: give a dt that resolves them"
-                )
+                problem = too_fast(fastest[i], self._method)
             problems.append(problem)
         good = np.flatnonzero([not problem for problem in problems])
         members = self._members.some(index[good])

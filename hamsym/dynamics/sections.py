@@ -24,7 +24,12 @@ from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.automatic_steps import AIM, choose_steps
 from hamsym.integrators.energy_drift import COARSE
 from hamsym.integrators.hidden_features import passed_over
-from hamsym.integrators.table import usable_method, usual_method
+from hamsym.integrators.table import (
+    resolved_angle,
+    too_fast,
+    usable_method,
+    usual_method,
+)
 from hamsym.problems.ensemble import Ensemble, ensemble_of
 from hamsym.problems.observed import observed
 from hamsym.problems.problem import checked_span, checked_steps
@@ -250,7 +255,8 @@ def section(
         With ``success=False`` and a message if a trajectory ends early, has too few crossings,
         leaves the domain of the surface, H drifts by more than 1 % of its scale, ``prove`` fails,
         or the force has a feature, for example a pulse, that the steps pass over and that changes
-        more than 1e-9 of a component: crossings inside it are missed.
+        more than 1e-9 of a component: crossings inside it are missed. Where H is not conserved,
+        steps that are given may take 0.6 rad of the fastest linear motion and err by 1 % of it.
 
     Warns
     -----
@@ -306,6 +312,8 @@ def section(
         kept = drift <= COARSE
         if not kept:
             advice = "take smaller steps"
+    elif not chosen and not problem and not run.fastest * abs(size) <= resolved_angle(method):
+        problem = too_fast(run.fastest, method)
     if kept and not problem and not math.isnan(doubts.hidden):
         problem = passed_over(doubts.hidden)
     if advice and not problem:

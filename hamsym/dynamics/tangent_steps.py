@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hamsym.dynamics.growth import RESOLVED_ANGLE, STEPS_PER_RADIAN, UNRESOLVED, tangent_scales
+from hamsym.dynamics.growth import STEPS_PER_RADIAN, UNRESOLVED, tangent_scales
 from hamsym.dynamics.passed_features import first_passed
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
@@ -22,6 +22,7 @@ from hamsym.integrators.energy_drift import COARSE, EnergyDrift
 from hamsym.integrators.hidden_features import passed_over
 from hamsym.integrators.step_scales import fastest_rates
 from hamsym.integrators.stepper import Stepper
+from hamsym.integrators.table import resolved_angle, too_fast
 from hamsym.problems.ensemble import ensemble_of
 from hamsym.problems.problem import checked_steps
 
@@ -122,13 +123,13 @@ class TangentSteps:
         share = float(drift.relative(self.number)[0])
         if H.conserves_energy and not share <= COARSE:
             return change, f"H changed by {change:.1e}, {share:.0%} of its scale: take a smaller dt"
-        if self.chosen or not H.conserves_energy:  # which tests the steps that are given
+        most = UNRESOLVED * max(self.rate, 1 / abs(self.size)) if self.chosen else math.inf
+        if not H.conserves_energy:
+            most = resolved_angle(self.method) / abs(self.size)
+        if most < math.inf:
             fastest = fastest_rates(H, path, np.append(self.span[0], times)).max()
-            most = UNRESOLVED * max(self.rate, 1 / abs(self.size))
-            if not fastest <= (most if H.conserves_energy else RESOLVED_ANGLE / abs(self.size)):
-                return change, (
-                    f"the motion has rates up to {fastest:.2g}: give a dt that resolves them"
-                )
+            if not fastest <= most:
+                return change, too_fast(fastest, self.method)
         start = ensemble_of(H, path[0], None)
         passed = first_passed(start, self.method, self.span[0], self.size, self.number)[0]
         return change, "" if math.isnan(passed) else passed_over(passed)

@@ -82,7 +82,7 @@ def choose_steps(
     cost = (scheme.stages * members.H.dim) ** (3 if isinstance(scheme, RungeKutta) else 1)
     most = _MAX_UPDATES / (batch * cost)
     steps = fewest = each * math.ceil(_MIN_STEPS / each)
-    rate = _fastest_rate(members, members.states[:, None], np.array([span[0]]))
+    rate = fastest_rate(members, members.states[:, None], np.array([span[0]]))
     while steps < length * rate / _ANGLE:
         steps *= 2
     if steps > max(most, fewest):
@@ -98,7 +98,7 @@ def choose_steps(
         evaluations += run.evaluations
         tested = _tested_part(run.z)
         found = _deviation(members, run, previous, tested, steps)
-        resolved = _fastest_rate(members, tested, run.times) * length <= _ANGLE * steps
+        resolved = fastest_rate(members, tested, run.times) * length <= _ANGLE * steps
         met = found <= AIM and resolved and _same_ends(run, previous)
         if run.interrupted or met:
             break
@@ -187,7 +187,7 @@ def _sampled(
     return z[some[:, 0], some[:, 1]], times[some[:, 1]], values
 
 
-def _fastest_rate(members: Ensemble, z: np.ndarray, times: np.ndarray) -> float:
+def fastest_rate(members: Ensemble, z: np.ndarray, times: np.ndarray) -> float:
     """Fastest rate at a sample of the states where it is finite, per unit of time."""
     rates = fastest_rates(members.H, *_sampled(members, z, times))
     return float(rates[np.isfinite(rates)].max(initial=0.0))

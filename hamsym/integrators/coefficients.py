@@ -64,6 +64,13 @@ class Splitting:
         kick_times = [float(sum(self.drifts[: i + 1])) for i in range(len(a))]
         return (np.stack((a, b, drift_times, kick_times), axis=-1),)
 
+    def oscillation(self, angle: float) -> np.ndarray:
+        """Matrix of a step of p^2/2 + q^2/2, which would be exact as a turn by this angle."""
+        matrix = np.eye(2)
+        for drift, kick in angle * self.arrays[0][:, :2]:
+            matrix = [[1.0, 0.0], [-kick, 1.0]] @ (np.array([[1.0, drift], [0.0, 1.0]]) @ matrix)
+        return matrix
+
     def width(self, dim: int) -> int:
         """Length of the vector that is kept for each trajectory between steps."""
         return dim
@@ -118,6 +125,14 @@ class RungeKutta:
             nodes,
             continued,
         )
+
+    def oscillation(self, angle: float) -> np.ndarray:
+        """Matrix of a step of p^2/2 + q^2/2, as for a splitting method."""
+        a, b = np.array(self.matrix, dtype=float), np.array(self.weights, dtype=float)
+        turn = angle * np.array([[0.0, 1.0], [-1.0, 0.0]])
+        system = np.eye(2 * self.stages) - np.kron(a, turn)
+        stages = np.linalg.solve(system, np.tile(turn, (self.stages, 1)))
+        return np.asarray(np.eye(2) + np.kron(b, np.eye(2)) @ stages)
 
     def width(self, dim: int) -> int:
         """Length of the state and of the rates at the last step's stages."""

@@ -18,12 +18,13 @@ import numpy as np
 from hamsym.errors import StepSizeWarning
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.adaptive import Adaptive
-from hamsym.integrators.automatic_steps import AIM, Choice, choose_steps
+from hamsym.integrators.automatic_steps import AIM, Choice, choose_steps, fastest_rate
+from hamsym.integrators.coefficients import RungeKutta, Splitting
 from hamsym.integrators.energy_drift import COARSE, EnergyDrift
 from hamsym.integrators.hidden_features import Path, hidden_features, passed_over
 from hamsym.integrators.invariant_drift import invariant_drifts
 from hamsym.integrators.stepper import INTERRUPTED, Run, Stepper, require_memory, run_steps
-from hamsym.integrators.table import INTEGRATORS
+from hamsym.integrators.table import INTEGRATORS, resolved_angle, too_fast
 from hamsym.integrators.trajectory import Trajectory
 from hamsym.problems.conservation import KnownInvariants
 from hamsym.problems.ensemble import Ensemble
@@ -72,6 +73,11 @@ def integrate_fixed(
     if not (problem or warning or isinstance(scheme, Adaptive)):
         share = COARSE if choice is None else max(AIM, min(choice.found, COARSE))
         unseen = _between_steps(members, name, z, times, steps, share, options["omega"])
+    given = choice is None and isinstance(scheme, Splitting | RungeKutta)
+    if given and not (H.conserves_energy or warning or unseen):
+        fastest = fastest_rate(members, z, times)
+        if not fastest * abs(end - start) / steps <= resolved_angle(name):
+            warning = too_fast(fastest, name)
     if warning and not problem:
         message = f"{message}: {warning}"
         warnings.warn(message, StepSizeWarning, stacklevel=4)

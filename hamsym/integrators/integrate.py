@@ -133,9 +133,10 @@ def integrate(
     -----
     StepSizeWarning
         If the automatic steps do not meet the target above, or if with a given method or number of
-        steps H changes by more than 1 % of the energy exchanged or is not finite (not tested for
-        time-dependent H), or a step is too long beside a pole of H (tested if every step is saved).
-        The message contains the warning. With ``tol`` there is none: see ``success``.
+        steps H changes by more than 1 % of the energy exchanged or is not finite, or where H is not
+        conserved, a step takes more than 0.6 rad of the fastest linear motion or errs by more than
+        1 % of it, or a step is too long beside a pole of H (tested if every step is saved). The
+        message contains the warning. With ``tol`` there is none: see ``success``.
 
     Raises
     ------

@@ -615,3 +615,19 @@ def test_given_steps_do_not_pass_over_crossings_inside_a_spike(
     found = hamsym.section(H, [1, 0], (0, 6), surface, method=method, steps=steps)
     assert not found.success
     assert "feature" in found.message
+
+
+def test_given_steps_resolve_a_driven_motion() -> None:
+    H = Hamiltonian("p**2/2 - (1 + sin(t)/2)*cos(x)")
+    exact = hamsym.solve(H, [1.0, 0.2], (0, 20)).events("x = 0").t_events[0]
+    for method, coarse, fine, error in (
+        ("stormer_verlet", 0.3, 0.1, 0.02),  # errors of 0.1 and 0.011
+        ("symplectic_euler", 0.1, 0.005, 0.01),
+        ("blanes_moan6", 0.9, 0.3, 1e-6),
+    ):
+        found = hamsym.section(H, [1.0, 0.2], (0, 20), "x = 0", method=method, dt=coarse)
+        assert not found.success
+        assert "the motion has rates up to" in found.message
+        found = hamsym.section(H, [1.0, 0.2], (0, 20), "x = 0", method=method, dt=fine)
+        assert found.success
+        assert np.abs(found.t - exact).max() < error

@@ -731,6 +731,12 @@ def test_collision_raises_a_warning() -> None:
     assert np.isfinite(jumped.z).all()
 
 
+def test_long_steps_of_a_driven_motion_raise_a_warning() -> None:
+    H, start = "p**2/2 - (1 + sin(t)/2)*cos(x)", [1.0, 0.2]
+    with pytest.warns(StepSizeWarning, match="rates up to 1.2: give stormer_verlet a dt of at"):
+        hamsym.integrate(H, start, (0, 20), "stormer_verlet", dt=0.3)
+
+
 @pytest.mark.slow_cases("p**2/2 - (1 + sin(t)/2)*cos(x)-start6-span6-options6")
 @pytest.mark.parametrize(
     ("formula", "start", "span", "options"),
