@@ -240,7 +240,7 @@ class Continuation:
         points = before, here, there
         if len({len(point.orbit.shift_multipliers) for point in points}) > 1:
             return
-        for kind in _MEETINGS.keys() & here.tests.keys():
+        for kind in {*_MEETINGS, _TORUS} & here.tests.keys():
             values = [point.tests[kind] for point in points]
             turn = _turn(np.abs(values), length, step)
             if turn is None or not (min(values) > 0 or max(values) < 0):
@@ -267,8 +267,8 @@ class Continuation:
             if orbit is None:
                 raise _LostError
             point = self._point(orbit, base)
-            meeting = _MEETINGS[kind] * orbit.shift_multipliers
-            if not differ_from_one(meeting, orbit.multiplier_error):
+            meeting = _MEETINGS.get(kind, 0) * orbit.shift_multipliers
+            if not (differ_from_one(meeting, orbit.multiplier_error) and point.tests[kind] != 0):
                 raise _LostError  # a touch, as far as float64 shows
             tested = sign * point.tests[kind]
             if tested < 0:
@@ -368,10 +368,16 @@ def _turn(values: np.ndarray, before: float, after: float) -> float | None:
     return float(place) if near else None
 
 
+def _products(multipliers: np.ndarray) -> np.ndarray:
+    """Products of two of the multipliers, of which one is 1 where a pair crosses the circle."""
+    rows, columns = np.triu_indices(len(multipliers), 1)
+    return multipliers[rows] * multipliers[columns]
+
+
 def _complex_pair(multipliers: np.ndarray) -> bool:
     """Whether the pair of multipliers whose product is nearest to 1 is no real one."""
-    rows, columns = np.triu_indices(len(multipliers), 1)
-    k = int(np.argmin(np.abs(multipliers[rows] * multipliers[columns] - 1)))
+    rows, _ = np.triu_indices(len(multipliers), 1)
+    k = int(np.argmin(np.abs(_products(multipliers) - 1)))
     return bool(abs(multipliers[rows[k]].imag) > _REAL)
 
 
@@ -506,10 +512,11 @@ def _tests(point: _Point, problem: Problem) -> dict[str, float]:
     meeting = "period doubling" if odd else "symmetry breaking"
     tests[meeting] = float(np.prod(multipliers + 1).real)
     if orbit.H.forces:
-        rows, columns = np.triu_indices(len(multipliers), 1)
-        products = multipliers[rows] * multipliers[columns]
-        if len(products):
-            tests[_TORUS] = float(np.prod(products - 1).real)
+        if len(multipliers) > 1:
+            products = _products(multipliers)
+            # Forces that keep areas leave round-off alone.
+            known = differ_from_one(products, 2 * orbit.multiplier_error, least=0.0)
+            tests[_TORUS] = float(np.prod(products - 1).real) if known else 0.0
     elif len(multipliers) >= 4:
         sums = multipliers + 1 / multipliers
         real = np.abs(sums.imag) <= 1e-4 * np.abs(sums).max()

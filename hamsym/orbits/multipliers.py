@@ -182,10 +182,13 @@ def multiplier_error(matrix: np.ndarray, other: np.ndarray, *, conservative: boo
     return found
 
 
-def differ_from_one(multipliers: np.ndarray, error: float) -> bool:
-    """Whether no multiplier is 1, in spite of their estimated error."""
+def differ_from_one(multipliers: np.ndarray, error: float, *, least: float = _PARABOLIC) -> bool:
+    """Whether no multiplier is 1, in spite of their estimated error.
+
+    - least: Smallest radius that is left about 1.
+    """
     with np.errstate(all="ignore"):
-        radii = np.maximum(_PARABOLIC, _SAFETY * error * np.maximum(1.0, np.abs(multipliers)))
+        radii = np.maximum(least, _SAFETY * error * np.maximum(1.0, np.abs(multipliers)))
         return bool((np.abs(multipliers - 1) > radii).all())
 
 

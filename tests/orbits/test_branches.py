@@ -1,5 +1,7 @@
 """Families that leave at bifurcations, against published ones and other integrators."""
 
+import math
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -220,3 +222,27 @@ def test_complex_pairs_cross_the_circle_where_damping_ends(stiffness, kinds):
     assert [found.kind for found in family.bifurcations] == kinds
     assert all(abs(found.orbit.H.parameters["c"]) < 1e-7 for found in family.bifurcations)
     assert family.branches == ()
+
+
+_SHAKEN = "p**2/2 + (13/10 + mu)*x**2/2 + x**4/4 - 3*x*cos(2*t)/10"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [1e-3, 0.03])
+def test_pairs_of_neimark_sacker_bifurcations_between_neighbours(width: float) -> None:
+    """By Liouville's theorem the product of the multipliers is exp of the mean divergence."""
+    forces = {"p": f"-((mu - 1/2)**2 - {width**2})*p"}
+    H = hamsym.Hamiltonian(_SHAKEN, forces=forces, parameters={"mu": 0.0})
+    orbit = hamsym.periodic_orbit(H, [-0.1, 0.0], period=math.pi)
+    family = orbit.family(parameter=("mu", 1.0))
+    assert family.success
+    assert [found.kind for found in family.bifurcations] == ["Neimark-Sacker"] * 2
+    places = [found.orbit.H.parameters["mu"] for found in family.bifurcations]
+    np.testing.assert_allclose(places, [0.5 - width, 0.5 + width], atol=1e-8)
+
+
+@pytest.mark.parametrize("force", ["-x**3", "-sin(2*t)*p/5"])
+def test_forces_that_keep_areas_have_no_neimark_sacker_bifurcation(force: str) -> None:
+    H = hamsym.Hamiltonian(_SHAKEN, forces={"p": force}, parameters={"mu": 0.0})
+    orbit = hamsym.periodic_orbit(H, [-0.1, 0.0], period=math.pi)
+    assert orbit.family(parameter=("mu", 1.0)).bifurcations == ()
