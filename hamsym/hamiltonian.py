@@ -427,7 +427,8 @@ class Hamiltonian(SymbolicHamiltonian):
             for ``r``.
         positive : str or sequence of str
             New variables that stay above zero, so that sqrt(r**2) is r; ``to_old`` refuses states
-            in which they are not.
+            in which they are not. A trajectory that comes back from below zero is not that of the
+            old H any more, which no single state tells: look for events, as ``"r = 0"``.
         F1, F2, F3, F4 : str or sympy.Expr, optional
             A generating function of (q, Q), (q, P), (p, Q) or (p, P) in place of formulas.
 

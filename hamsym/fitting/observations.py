@@ -112,8 +112,8 @@ def checked_times(t: Any, span: tuple[float, float]) -> np.ndarray:
     outside = (times < low - slack) | (times > high + slack)
     if outside.any():
         raise InputError(
-            f"t[{np.argmax(outside)}] = {times[outside][0]:.6g} is outside the span from "
-            f"{low:.6g} to {high:.6g}; give a longer span, or leave the time out"
+            f"t[{np.argmax(outside)}] = {times[outside][0]:.16g} is outside the span from "
+            f"{low:.16g} to {high:.16g}; give a longer span, or leave the time out"
         )
     return np.clip(times, low, high)
 

@@ -176,7 +176,7 @@ def _bounds(
             raise InputError(f"bounds of '{name}' are {pair!r}; give the lower one first")
         if not low[j] <= guesses[name] <= high[j]:
             raise InputError(
-                f"the first guess {name} = {guesses[name]:.6g} is outside its bounds "
+                f"the first guess {name} = {guesses[name]:.16g} is outside its bounds "
                 f"{pair!r}; give one inside them"
             )
     return low, high

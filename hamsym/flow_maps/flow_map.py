@@ -273,15 +273,15 @@ class FlowMap(Drawn, Saved):
         late = ~((times >= low - slack) & (times <= high + slack))
         if late.any():
             raise InputError(
-                f"t = {times[np.argmax(late)]:.6g} is outside the span from {low:.6g} to "
-                f"{high:.6g}; give times inside it, or extrapolate=True"
+                f"t = {times[np.argmax(late)]:.16g} is outside the span from {low:.16g} to "
+                f"{high:.16g}; give times inside it, or extrapolate=True"
             )
         outside = self.region.outside(inputs)
         if outside.any():
             query, column = np.argwhere(outside)[0]
             raise InputError(
-                f"{self.inputs[column]} = {inputs[query, column]:.6g} is outside the box, from "
-                f"{self.region.low[column]:.6g} to {self.region.high[column]:.6g}; give a value "
+                f"{self.inputs[column]} = {inputs[query, column]:.16g} is outside the box, from "
+                f"{self.region.low[column]:.16g} to {self.region.high[column]:.16g}; give a value "
                 "inside it, or extrapolate=True"
             )
 

@@ -129,7 +129,7 @@ class Interpolant:
         if not inside.all():
             worst = float(np.atleast_1d(times)[~np.atleast_1d(inside)][0])
             raise InputError(
-                f"t = {worst:.6g} is outside the trajectory, from {low:.6g} to {high:.6g}; give "
+                f"t = {worst:.16g} is outside the trajectory, from {low:.16g} to {high:.16g}; give "
                 "times inside it, or integrate over a longer span"
             )
         return np.clip(times, low, high)

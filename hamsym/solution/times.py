@@ -56,8 +56,8 @@ def times_in_span(t: Any, span: tuple[float, float], *, extrapolate: bool = Fals
     if not extrapolate:
         worst = float(np.atleast_1d(times)[np.atleast_1d(outside)][0])
         raise InputError(
-            f"t = {worst:.6g} is outside the span from {low:.6g} to {high:.6g}; give times inside "
-            "it, or extrapolate=True"
+            f"t = {worst:.16g} is outside the span from {low:.16g} to {high:.16g}; give times "
+            "inside it, or extrapolate=True"
         )
     return times
 

@@ -121,6 +121,8 @@ class Regularization(Shown):
     def to_old(self, z: Any) -> tuple[np.ndarray, np.ndarray]:
         """Compute the times, shape (...), and the states of the original, shape (..., dim).
 
+        In a collision itself the momenta of the original are nan.
+
         Parameters
         ----------
         z : array

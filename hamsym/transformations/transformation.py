@@ -84,7 +84,8 @@ class Transformation(Shown):
         Raises
         ------
         InputError
-            If a variable that is positive is not: H does not hold for what led there.
+            If a variable that is positive is not: H does not hold for what led there. If an old
+            variable is not finite, as at the pole of polar coordinates.
 
         Examples
         --------
@@ -105,7 +106,16 @@ class Transformation(Shown):
                     "states before it gets there"
                 )
         times = _times(t, states.shape[:-1])
-        return self._values(states, times)
+        found = self._values(states, times)
+        lost = np.argwhere(~np.isfinite(found))
+        if len(lost):
+            *place, column = lost[0]
+            state = dict(zip(self.H.names, states[tuple(place)].tolist(), strict=True))
+            raise InputError(
+                f"{self.original.names[column]} is {found[tuple(lost[0])]} at {state}; give states "
+                "at which the transformation is finite"
+            )
+        return found
 
     def to_new(self, z: Any, t: Any = 0.0, near: Any = None) -> np.ndarray:
         """Compute the new variables of states in the old ones, by Newton's method.

@@ -325,7 +325,7 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"sigma": {}}, "'theta' is missing in sigma"),
     ({"sigma": "a"}, "not a real number"),
     ({"span": None}, "span is missing"),
-    ({"span": (0, 19)}, r"t\[114\] = 19.1597 is outside the span"),
+    ({"span": (0, 19)}, r"t\[114\] = 19.15966386554622 is outside the span"),
     ({"bounds": {"m": (0, 1)}}, "'m' in bounds is not free"),
     ({"bounds": {"g": (2, 1)}}, "give the lower one first"),
     ({"bounds": {"g": (2, 3)}}, "outside its bounds"),

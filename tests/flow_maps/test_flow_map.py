@@ -361,6 +361,7 @@ def test_bad_queries_are_refused(with_parameter: FlowMap) -> None:
     for arguments, message in (
         ((3.0, start, k), "t = 3 is outside the span from 0 to 2"),
         ((1.0, {"x": 2.5}, k), "x = 2.5 is outside the box, from 1 to 2"),
+        ((1.0, {"x": 2 + 1e-8}, k), "x = 2.00000001 is outside the box, from 1 to 2"),
         ((1.0, {"x": np.nan}, k), "not finite"),
         ((1.0, start), "'k' is missing in parameters"),
         ((1.0, None, k), "'x' is missing in z0"),

@@ -271,3 +271,14 @@ def test_states_without_new_variables() -> None:
     found = Hamiltonian(OSCILLATOR).transformed({"x": "exp(X)"})
     with pytest.raises(InputError, match="no new variables are found for"):
         found.to_new([-1.0, 0.0])
+
+
+def test_old_variables_that_are_not_finite_are_refused() -> None:
+    action = Hamiltonian(OSCILLATOR).transformed(
+        {"x": "sqrt(2*J)*sin(w)", "p": "sqrt(2*J)*cos(w)"}, new={"w": "J"}
+    )
+    with pytest.raises(InputError, match=r"x is nan at \{'w': 1.0, 'J': -1.0\}"):
+        action.to_old([[1.0, 1.0], [1.0, -1.0]])
+    polar = Hamiltonian(KEPLER).transformed(POLAR)
+    with pytest.raises(InputError, match="p_x is nan at .*'r': 0.0"):
+        polar.to_old({"phi": 0.0, "r": 0.0, "p_phi": 1.0, "p_r": 1.0})

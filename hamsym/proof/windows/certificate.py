@@ -144,9 +144,8 @@ class Certificate(SealedText):
         first = bisect_left(edges, direction * t) - 1
         last = bisect_right(edges, direction * t) - 1
         if last < 0 or first >= len(self.piece_bounds) or not math.isfinite(t):
-            raise InputError(
-                f"t = {t:.6g} is outside the span from {self.edges[0]:.6g} to {self.edges[-1]:.6g}"
-            )
+            start, end = self.edges[0], self.edges[-1]
+            raise InputError(f"t = {t:.16g} is outside the span from {start:.16g} to {end:.16g}")
         places = range(max(first, 0), min(last, len(self.piece_bounds) - 1) + 1)
         return max(self.piece_bounds[place] for place in places)
 
