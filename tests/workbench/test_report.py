@@ -148,6 +148,7 @@ def test_failed_solution_is_said_first(tmp_path: Path) -> None:
     assert "Succeeded" not in page.text
     assert "largest estimated error" in page.text
     assert failed.message in page.text
+    assert "What was asked t from 0.0 to 5.0, an error of" in " ".join(page.text.split())
 
 
 @pytest.mark.slow

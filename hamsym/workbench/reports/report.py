@@ -23,6 +23,7 @@ from hamsym.codegen.backends import BACKENDS
 from hamsym.errors import CertificationError, FileError, HamsymError, InputError
 from hamsym.facts.facts import Fact
 from hamsym.facts.solutions import solution_facts
+from hamsym.facts.wording import span_fact
 from hamsym.proof.prove import certify as prove
 from hamsym.proof.prove import verify
 from hamsym.proof.windows.certificate import Certificate
@@ -251,6 +252,7 @@ def _described(solution: Solution, certificate: Certificate | None) -> dict[str,
     return {
         "formula": solution.H.formulas,
         "facts": facts,
+        "asked": span_fact(solution.settings.span, solution.H.units.get("t", "")).text,
         "settings": [(fact.label.rstrip(":"), fact.text) for fact in shown],
         "tables": [table.cells(None, brief=False) for table in facts.tables],
         "equations": equations(solution.H),
