@@ -84,12 +84,13 @@ def program_of(
     for symbol, expression in temporaries:
         graph.assign(symbol, expression)
     results = [graph.place(expression) for expression in reduced]
-    numbers, intermediates, steps = graph.steps(results)
+    intermediates, steps = graph.steps(results)
     return Program(
         len(state),
         len(parameters),
         len(results),
-        numbers=numbers,
+        numbers=graph.numbers,
+        rests=graph.rests,
         intermediates=intermediates,
         steps=steps,
     )
@@ -101,7 +102,16 @@ class _Steps(Graph):
     def __init__(self, inputs: Sequence[sympy.Symbol]) -> None:
         super().__init__({symbol: str(k) for k, symbol in enumerate(inputs)}, {}, "")
         self._inputs = len(inputs)
-        self._numbers: dict[int, float] = {}
+        self._numbers: dict[int, tuple[float, float]] = {}
+
+    @property
+    def numbers(self) -> list[float]:
+        return [number for number, _ in self._numbers.values()]
+
+    @property
+    def rests(self) -> list[float]:
+        """Exact numbers less those of float64."""
+        return [rest for _, rest in self._numbers.values()]
 
     def _translated(self, expression: sympy.Expr) -> int:
         if not expression.free_symbols:
@@ -124,17 +134,14 @@ class _Steps(Graph):
         if place not in self._numbers:
             exact = expression if expression.is_Rational else expression.evalf(30)
             try:
-                self._numbers[place] = (
-                    int(exact.p) / int(exact.q) if exact.is_Rational else float(exact)
-                )
+                number = int(exact.p) / int(exact.q) if exact.is_Rational else float(exact)
+                self._numbers[place] = number, float(exact - sympy.Rational(number))
             except (TypeError, OverflowError) as error:
                 raise CodeGenerationError(f"{expression} is not a number of float64") from error
         return place
 
-    def steps(
-        self, results: Sequence[int]
-    ) -> tuple[list[float], int, list[tuple[int, int, int, int]]]:
-        """Return the numbers, how many rows of intermediate values, and the steps."""
+    def steps(self, results: Sequence[int]) -> tuple[int, list[tuple[int, int, int, int]]]:
+        """Return how many rows of intermediate values there are, and the steps."""
         nodes = list(self._places)
         first = self._inputs + len(self._numbers)
         row_of = {place: self._inputs + k for k, place in enumerate(self._numbers)}
@@ -165,7 +172,7 @@ class _Steps(Graph):
                     free.append(row_of[argument])
             steps.append((_NUMBER_OF[node.kind], row, arguments[0], arguments[-1]))
         steps += [(_NUMBER_OF["copy"], row, row_of[place], row_of[place]) for place, row in copies]
-        return list(self._numbers.values()), most - first - len(results), steps
+        return most - first - len(results), steps
 
     @staticmethod
     def _order(nodes: Sequence, results: Sequence[int]) -> list[int]:

@@ -11,6 +11,8 @@
 #define MISSED 1.1
 #define OSCILLATING 0.15
 #define FEW 400         /* windows in which the rounding of a table, alike in all of them, is less than round-off */
+#define MAGNIFIED 256.0 /* times roundings, so that they are not rounded themselves */
+#define SPREAD 0.41     /* of roundings, whose mean square is 1/6 of that of the largest one */
 #define ITERATIONS 60
 #define LEAST_SIZE 1e-280 /* of vectors, whose reciprocal relative to an accuracy is finite */
 #define KEPT 8          /* windows after one that coarse nodes do not resolve, in which they are not tried */
@@ -22,14 +24,15 @@ void lay_out_errors(carrying *m, arena *arena, const equations *H, const error_t
   take_machine(arena, &m->velocity, H->velocity, m->stride);
   take_machine(arena, &m->force, H->force, m->stride);
   take_machine(arena, &m->hessian, H->hessian, m->stride);
+  m->shifted = can_shift(H->velocity) || can_shift(H->force);
   m->terms = (term *)take(arena, 4 * a->terms + 1);
   m->changes = (v4 *)take(arena, 4 * rows);
   m->second = take(arena, H->hessian->results * nodes + 1);
   m->readout = take(arena, dim * t->columns);
   m->curvature = take(arena, H->hessian->results * places + 1);
   double **of_places[] = {&m->z, &m->dz, &m->low, &m->rates, &m->disturbed, &m->pushed, &m->drift_inside, &m->found,
-                          &m->coefficients, &m->shown, &m->bent};
-  for (int k = 0; k < 11; k++) *of_places[k] = take(arena, dim * places);
+                          &m->coefficients, &m->shown, &m->bent, &m->steady, &m->steady_pushed};
+  for (int k = 0; k < 13; k++) *of_places[k] = take(arena, dim * places);
   m->times = take(arena, places);
   m->late = take(arena, places);
   double **of_nodes[] = {&m->at_nodes, &m->drift, &m->smooth};
@@ -220,6 +223,12 @@ static int solve_at(carrying *m, const equations *H, const rule *rule, const err
   for (long i = 0; i < dim; i++)
     for (long c = 0; c < n; c++)
       m->base[i * m->each * n + c] -= m->drift[i * n + c] * (h * h / s->scale[i]);
+  if (m->shifted) {
+    products(rule->drift, t->places, n, m->steady_pushed, dim, m->drift);
+    for (long i = 0; i < dim; i++)
+      for (long c = 0; c < n; c++)
+        m->base[((i + 1) * m->each - 1) * n + c] -= m->drift[i * n + c] * (h * h / s->scale[i]);
+  }
   int solved = a->linear ? transport_linear(m, rule, a, dim, h, accuracy) : transport(m, rule, a, dim, h, accuracy);
   if (coarse) return solved && unresolved(m, rule, a->linear ? dim / 2 : dim) <= t->resolved;
   return solved || eliminate(m, rule, a, dim, h);
@@ -261,19 +270,27 @@ static int residual(carrying *m, const equations *H, const error_tables *t, cons
   return mark;
 }
 
-/* Round-off of window k, as the change of the rates for half a unit in the last place, is added to the
-   vectors at its start. */
+/* Round-off of window k, as the change of the rates where states, times and the results of all operations are rounded
+   otherwise, is added to the vectors at its start. */
 static void disturb_vectors(carrying *m, const equations *H, const error_tables *t, const error_settings *s,
-                            const windows *w, double *joint, long k, double length) {
-  long dim = H->dim, places = t->places;
+                            double *joint, long k, double length) {
+  long dim = H->dim, places = t->places, half = H->velocity->results;
   long count = t->perturbations;
-  const double *signs = s->sign, *kicks = s->kick + (k % s->period) * dim * count;
-  disturb(m->z, signs, places, EPS / 2, dim, places, m->low);
-  disturb(m->times, signs, places, EPS / 2, 1, places, m->late);
-  evaluate(&m->velocity, &m->force, m->low, m->late, places, m->disturbed);
+  const double *signs = s->sign, *of_steps = signs + dim * places, *kicks = s->kick + (k % s->period) * dim * count;
+  if (m->shifted) {
+    /* Roundings of numbers, and of what depends on parameters alone, push every window the same way: they are a
+       residual of the last vector. */
+    run_shifted(&m->velocity, m->z, m->times, places, of_steps, MAGNIFIED, m->steady);
+    run_shifted(&m->force, m->z, m->times, places, of_steps, MAGNIFIED, m->steady + half * places);
+    for (long c = 0; c < dim * places; c++) m->steady[c] = (m->rates[c] - m->steady[c]) / MAGNIFIED;
+  }
+  disturb(m->z, signs, places, MAGNIFIED * (EPS / 2), dim, places, m->low);
+  disturb(m->times, signs, places, MAGNIFIED * (EPS / 2), 1, places, m->late);
+  run_disturbed(&m->velocity, m->low, m->late, places, of_steps, MAGNIFIED * SPREAD, m->disturbed);
+  run_disturbed(&m->force, m->low, m->late, places, of_steps, MAGNIFIED * SPREAD, m->disturbed + half * places);
   for (long i = 0; i < dim; i++) {
     double *change = m->disturbed + i * places;
-    for (long c = 0; c < places; c++) change[c] -= m->rates[i * places + c];
+    for (long c = 0; c < places; c++) change[c] = (change[c] - m->rates[i * places + c]) / MAGNIFIED;
     double noise = __builtin_sqrt(dot(change, change, places) / places);
     /* The places average the round-off, but not independently. */
     double kick = COHERENT * length * (noise + EPS * m->speeds[i]) / __builtin_sqrt(places) / s->scale[i];
@@ -281,8 +298,7 @@ static void disturb_vectors(carrying *m, const equations *H, const error_tables 
     double late = s->late ? s->late[k * dim + i] / s->scale[i] : 0.0;
     kick += late;
     for (long j = 0; j < count; j++) joint[i * m->each + 1 + j] += kick * kicks[i * count + j];
-    double push = s->rounded * (EPS / 2) * (w->state[(k + 1) * dim + i] - w->state[k * dim + i]);
-    joint[(i + 1) * m->each - 1] += push / s->scale[i] + late;
+    joint[(i + 1) * m->each - 1] += late;
   }
 }
 
@@ -297,10 +313,13 @@ static void apply_at_places(carrying *m, const error_tables *t, const actions *a
   }
 }
 
-/* Integrals D of the residual from the start of a window to the places, and A D there. */
+/* Integrals D of the residual, and of that of the last vector, from the start of a window to the places, and A D. */
 static void push(carrying *m, const equations *H, const error_tables *t, const actions *a) {
   products(t->drift, t->places, t->places, m->dz, H->dim, m->drift_inside);
   apply_at_places(m, t, a, H->dim, m->drift_inside, m->pushed);
+  if (!m->shifted) return;
+  products(t->drift, t->places, t->places, m->steady, H->dim, m->low);
+  apply_at_places(m, t, a, H->dim, m->low, m->steady_pushed);
 }
 
 /* Write by how much the terms of the equation of the error beyond the linear one, at the error found last, differ from
@@ -362,7 +381,8 @@ static int inside(carrying *m, const equations *H, const error_tables *t, const 
     }
     double largest = largest4(most), last = row_size(vectors + (m->each - 1) * n, n);
     /* Some standard deviations, at worst in the window, and the rounding of z^ itself. */
-    double floor = s->scale[i] * (t->deviations * __builtin_sqrt(largest / t->perturbations) + last) + EPS / 2 * m->tops[i];
+    double floor = t->deviations * __builtin_sqrt(largest / t->perturbations) + MISSED * last;
+    floor = s->scale[i] * floor + EPS / 2 * m->tops[i];
     double top = larger(row_size(m->shown + i * count, count), row_size(m->found + i * count, count));
     double peak = MISSED * top + OSCILLATING * length * row_size(m->drift_inside + i * count, count) + floor;
     if (!(peak < INFINITY)) return 0;
@@ -395,7 +415,7 @@ int carry_errors(carrying *m, const equations *H, const error_tables *t, const a
     double h = w->edge[k + 1] - w->edge[k], length = fabs(h);
     r->mark[k] = residual(m, H, t, s, w, k, h, end > FEW);
     memcpy(m->before, joint, rows * sizeof(double));
-    disturb_vectors(m, H, t, s, w, joint, k, length);
+    disturb_vectors(m, H, t, s, joint, k, length);
     /* The mean root is the typical size of the error, also if it has short peaks beside a pole. What is left of an
        inaccuracy behind a peak grows with the forces there, so that a peak counts twice. */
     double mean = r->history[0] / greater(fabs(w->edge[k] - w->edge[0]), TINY), typical = PASSING * mean * mean;
@@ -433,6 +453,10 @@ int carry_errors(carrying *m, const equations *H, const error_tables *t, const a
       double through = dot(m->dz + i * t->places, t->drift_end, t->places);
       through += h * dot(m->pushed + i * t->places, t->drift_end, t->places);
       joint[i * m->each] += (jumps[k * dim + i] - h * through) / s->scale[i];
+      if (!m->shifted) continue;
+      through = dot(m->steady + i * t->places, t->drift_end, t->places);
+      through += h * dot(m->steady_pushed + i * t->places, t->drift_end, t->places);
+      joint[(i + 1) * m->each - 1] -= h * through / s->scale[i];
     }
     for (long row = 0; row < rows; row++)
       if (!(fabs(joint[row]) <= LARGEST)) return LOST;

@@ -22,8 +22,8 @@ enum error_outcome { DONE, LOST, STUCK, NO_ROOM };
    that terms beyond the linear one do not settle; the residual is not bounded. */
 enum mark { UNRESOLVED = 1, EXCESSIVE = 2, BENT = 4, UNBOUNDED = 8 };
 
-/* Vectors of the error: itself, random ones that represent round-off, of which there are four or two, and one in the
-   direction of the motion. */
+/* Vectors of the error: itself, random ones that represent round-off, of which there are four or two, and one for
+   roundings that are alike in all windows. */
 #define EACH_MOST 6
 #define EACH_FEWER 4
 #define SLACK 10.0      /* times the residual that the march allows at its own places */
@@ -59,7 +59,6 @@ typedef struct {
   double tolerance;      /* local tolerance of the march */
   double accuracy;       /* of the vectors at the end of each window */
   double usual_length;   /* expected length of the window that contains a random time */
-  double rounded;        /* 1 if H has numbers that float64 cannot represent, else 0 */
   const double *scale, *size, *sign, *kick, *parameters;
   const double *residual; /* windows x dim x places, in place of that in float64, or null */
   const double *late;     /* windows x dim: errors of the states since the start was rounded, or null */
@@ -76,11 +75,12 @@ typedef struct {
 
 typedef struct {
   long stride, each; /* vectors of each component */
+  int shifted;       /* whether there are roundings that are alike in all windows */
   machine velocity, force, hessian;
   term *terms;           /* in units of the scale */
   v4 *changes;
   double *readout, *times, *late, *z, *dz, *low, *rates, *disturbed, *pushed, *at_nodes, *node_times, *drift;
-  double *smooth, *drift_inside, *found, *coefficients, *shown, *bent, *second, *curvature;
+  double *smooth, *drift_inside, *found, *coefficients, *shown, *bent, *steady, *steady_pushed, *second, *curvature;
   double *base, *drifted, *vectors, *moved, *last, *before, *weight, *speeds, *tops;
 } carrying;
 

@@ -156,13 +156,14 @@ class Program(Record):
 
     Raise ValueError if a step reads a row that is not written before, or a row does not exist.
 
+    - numbers, rests: Numbers in float64, and the exact ones less these, by default zero.
     - steps: Numbers of operations and of rows; see ``program.h``.
     - function: In place of the steps.
     """
 
     _fields_ = [
         *counts("dim parameters numbers results intermediates steps"),
-        *arrays("number step"),
+        *arrays("number rest step"),
         ("function", _ROW_FUNCTION),
     ]
 
@@ -175,6 +176,7 @@ class Program(Record):
         results: int,
         *,
         numbers: Sequence[float] = (),
+        rests: Sequence[float] | None = None,
         intermediates: int = 0,
         steps: Sequence[tuple[int, int, int, int]] = (),
         function: RowFunction | None = None,
@@ -187,6 +189,7 @@ class Program(Record):
             intermediates=intermediates,
             steps=len(steps),
             number=np.array(numbers, dtype=float),
+            rest=np.zeros(len(numbers)) if rests is None else np.array(rests, dtype=float),
             step=np.array(steps, dtype=np.int32).reshape(-1, 4),
             function=_ROW_FUNCTION() if function is None else _ROW_FUNCTION(self._called(function)),
         )
@@ -341,7 +344,7 @@ class ErrorSettings(Record):
 
     _fields_ = [
         *counts("period width"),
-        *numbers("tolerance accuracy usual_length rounded"),
+        *numbers("tolerance accuracy usual_length"),
         *arrays("scale size sign kick parameters residual late"),
     ]
 
@@ -359,8 +362,7 @@ class Shared(Record):
         *arrays("equations tables error_tables actions bounds"),
         *counts("width period"),
         *arrays("sign disturbance kick"),
-        *numbers("local rounded"),
-        *numbers("margin least_step most_step smallest tighter accuracy fewest"),
+        *numbers("local margin least_step most_step smallest tighter accuracy fewest"),
     ]
 
 

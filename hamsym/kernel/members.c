@@ -22,7 +22,7 @@ typedef struct {
   const bound_tables *b;
   int64_t width, period; /* numbers in a row of signs; windows with kicks of their own */
   const double *sign, *disturbance, *kick;
-  double local, rounded; /* local tolerance of the first march; see errors.h */
+  double local; /* local tolerance of the first march */
   /* Of the local tolerance from one march to the next: share of the allowed error at which it aims, and limits of
      the step; below the smallest one residuals are round-off. */
   double margin, least_step, most_step, smallest;
@@ -178,7 +178,7 @@ EXPORTED int64_t hamsym_members(const shared *all, const span *span, const doubl
       for (long k = 0; k < count; k++) squares += (w.edge[k + 1] - w.edge[k]) * (w.edge[k + 1] - w.edge[k]);
       for (long i = 0; i < dim; i++) scale[i] = size[i] > 0.0 ? size[i] : 1.0;
       error_settings es = {all->period, 0, s.tolerance, all->accuracy / greater(count, all->fewest), squares / whole,
-                           all->rounded, scale, size, all->disturbance, all->kick, values, 0, 0};
+                           scale, size, all->disturbance, all->kick, values, 0, 0};
       error_results er = {joint, history, r->series ? r->series + done * e->places * dim : 0,
                           r->floor ? r->floor + done * dim : 0, largest, r->mark + done};
       joint_errors(&w, t, dim, count, jumps);

@@ -113,21 +113,86 @@ void perform_rows(enum operation operation, const double *a, const double *b, do
   perform(operation, a, b, out, n);
 }
 
+/* Put the rows of states, times and results in place. */
+static double **entered(machine *m, const double *states, const double *times, long n, double *out) {
+  const program *p = m->program;
+  double **row = m->row;
+  for (long i = 0; i < p->dim; i++) row[i] = (double *)states + i * n;
+  row[p->dim] = (double *)times;
+  double **result = row + p->dim + 1 + p->parameters + p->numbers;
+  for (long r = 0; r < p->results; r++) result[r] = out + r * n;
+  return row;
+}
+
 void run(machine *m, const double *states, const double *times, long n, double *out) {
   const program *p = m->program;
   if (p->function) {
     p->function(states, times, m->parameters, out, n);
     return;
   }
-  double **row = m->row;
-  for (long i = 0; i < p->dim; i++) row[i] = (double *)states + i * n;
-  row[p->dim] = (double *)times;
-  double **result = row + p->dim + 1 + p->parameters + p->numbers;
-  for (long r = 0; r < p->results; r++) result[r] = out + r * n;
+  double **row = entered(m, states, times, n, out);
   for (const step *s = p->step, *end = s + p->steps; s < end; s++)
     if (has_both(s, end)) {
       hamsym_sin_cos(row[s->first], row[s->out], row[s[1].out], n);
       s++;
     } else
       perform(s->operation, row[s->first], row[s->second], row[s->out], n);
+}
+
+/* Whether an operation may round. */
+static int rounds(enum operation operation) {
+  return operation != COPY && operation != NEGATIVE && (operation < MAGNITUDE || operation > MOST);
+}
+
+/* Mark the rows that depend on neither the state nor the time before the first step. */
+static void mark_still(const program *p, char *still) {
+  memset(still, 0, all_rows(p));
+  memset(still + p->dim + 1, 1, p->parameters + p->numbers);
+}
+
+/* Whether a step depends on such rows alone, as its result does from here on. */
+static int is_still(const step *s, char *still) { return still[s->out] = still[s->first] && still[s->second]; }
+
+int can_shift(const program *p) {
+  char still[all_rows(p)];
+  mark_still(p, still);
+  for (long k = 0; k < p->numbers; k++)
+    if (p->rest[k] != 0.0) return 1;
+  for (const step *s = p->step, *end = s + p->steps; s < end; s++)
+    if (is_still(s, still) && rounds(s->operation)) return 1;
+  return 0;
+}
+
+/* Run with changed results of steps that do or do not depend on the state or the time. */
+static void run_changed(machine *m, const double *states, const double *times, long n, const double *signs,
+                        double factor, int of_still, double *out) {
+  const program *p = m->program;
+  char still[all_rows(p)];
+  mark_still(p, still);
+  double **row = entered(m, states, times, n, out);
+  for (const step *s = p->step, *end = s + p->steps; s < end; s++, signs += n) {
+    int changed = is_still(s, still) == of_still && rounds(s->operation);
+    double *found = row[s->out];
+    perform(s->operation, row[s->first], row[s->second], found, n);
+    for (long c = 0; c < n && changed; c += 4) {
+      v4 sign = of_still ? spread(*signs) : load(signs + c);
+      store(found + c, load(found + c) * (1.0 + factor * (EPS / 2) * sign));
+    }
+  }
+}
+
+void run_disturbed(machine *m, const double *states, const double *times, long n, const double *signs, double factor,
+                   double *out) {
+  if (m->program->function) run(m, states, times, n, out);
+  else run_changed(m, states, times, n, signs, factor, 0, out);
+}
+
+void run_shifted(machine *m, const double *states, const double *times, long n, const double *signs,
+                 double factor, double *out) {
+  const program *p = m->program;
+  double **number = m->row + p->dim + 1 + p->parameters;
+  for (long k = 0; k < p->numbers; k++) fill(number[k], p->number[k] + factor * p->rest[k], n);
+  if (p->function) run(m, states, times, n, out);
+  else run_changed(m, states, times, n, signs, factor, 1, out);
+  for (long k = 0; k < p->numbers; k++) fill(number[k], p->number[k], n);
 }

@@ -21,7 +21,7 @@ typedef void rows_function(const double *states, const double *times, const doub
 
 typedef struct {
   int64_t dim, parameters, numbers, results, intermediates, steps;
-  const double *number;
+  const double *number, *rest; /* float64 numbers, and exact ones less these */
   const step *step;
   rows_function *function; /* in place of the steps, or null */
 } program;
@@ -45,6 +45,16 @@ long machine_size(const program *program, long stride);
 void make_machine(machine *machine, const program *program, double *memory, long stride);
 void set_parameters(machine *machine, const double *parameters, long stride);
 void run(machine *machine, const double *states, const double *times, long n, double *out);
+/* The same where results of operations that may round change by `factor` times the largest rounding, with a row of n
+   signs for each step. */
+void run_disturbed(machine *machine, const double *states, const double *times, long n, const double *signs,
+                   double factor, double *out);
+/* The same where what is alike at all places changes, `factor` times: numbers by what float64 lacks of them, and results
+   of operations on parameters and numbers alone, which run_disturbed leaves as they are. */
+void run_shifted(machine *machine, const double *states, const double *times, long n, const double *signs,
+                 double factor, double *out);
+/* Whether that changes anything. */
+int can_shift(const program *program);
 void perform_rows(enum operation operation, const double *first, const double *second, double *out, long n);
 
 #endif

@@ -8,9 +8,10 @@ solution used. The equation is solved window by window (:func:`hamsym.kernel.loo
 for delta plus the integral of r, which is smooth: half of the nodes resolve it, or else those of
 the solution do. The residual r contains only another sample of the round-off: random perturbations
 of its size are moved with the error, one batch at every joint. Its size is measured as the change
-of F when the states change by half a unit in the last place. Numbers of H that float64 cannot
-represent, for example pi, push every window the same way; a perturbation in the direction of the
-motion represents them.
+of F when the states, the time and the results of all operations are rounded otherwise: where these
+cancel, F has fewer digits than the state. Numbers of H that float64 cannot
+represent, for example pi, push every window the same way, as roundings of what depends on
+parameters alone do: one perturbation has the change of F by these.
 
 The estimate is infinite from the time at which the errors are as large as the motion or these terms
 do not settle, or J Hess is not finite.
@@ -119,10 +120,9 @@ def estimate_error(
         accuracy=ACCURACY / max(count, FEWEST),
         # The expected length of the window that contains a random time.
         usual_length=float((lengths**2).sum() / lengths.sum()),
-        rounded=float(flow.rounded),
         scale=np.where(scale > 0, scale, 1.0),
         size=scale,
-        sign=disturbances(tables.places, dim),
+        sign=disturbances(tables.places, rows_of_signs(flow)),
         kick=kicks(tables.perturbations, dim) * moved[:, None],
         parameters=flow.parameters,
         residual=residuals,
@@ -235,9 +235,15 @@ def _parts(exact: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @functools.lru_cache(maxsize=64)
-def disturbances(places: int, dim: int) -> np.ndarray:
-    """Return the signs with which states are disturbed, shape (dim, places)."""
-    return np.random.default_rng(0).choice((-1.0, 1.0), size=(dim, places))
+def disturbances(places: int, rows: int) -> np.ndarray:
+    """Return the signs of round-off, of components and then of steps, shape (rows, places)."""
+    return np.random.default_rng(0).choice((-1.0, 1.0), size=(rows, places))
+
+
+def rows_of_signs(flow: Flow) -> int:
+    """Return how many components and steps have signs of round-off."""
+    programs = flow.programs
+    return programs.dim + max(programs.program(name).steps for name in ("velocity", "force"))
 
 
 @functools.lru_cache(maxsize=64)

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import sympy
 
 from hamsym.bounds.residual import is_short_polynomial
 from hamsym.codegen.programs import programs_of
@@ -40,8 +39,6 @@ class Flow:
     autonomous: bool = False
     #: (z, candidates) -> those components of one state that keep exactly their values.
     resting: Callable[[np.ndarray, np.ndarray], list[int]] | None = None
-    #: Whether the formulas have numbers that float64 cannot represent.
-    rounded: bool = False
     #: Whether they have abs, sign, Min or Max of the state.
     switched: bool = False
     #: Whether they have these, or Heaviside, of the time alone.
@@ -76,17 +73,6 @@ def flow_of(H: Hamiltonian) -> Flow:
         energy=energy if form.has_conserved_values else None,
         autonomous=H.time is None,
         resting=lambda z, candidates: form.resting(z.tolist(), candidates.tolist()),
-        rounded=any(map(has_rounded_numbers, form.formulas)),
         switched=has_switches(H),
         switched_in_time=has_time_switches(H),
     )
-
-
-@functools.lru_cache(maxsize=64)
-def has_rounded_numbers(expr: sympy.Expr) -> bool:
-    """Return whether a formula has numbers that float64 cannot represent: pi, sqrt(2), 0.1."""
-    return any(
-        not isinstance(number, sympy.Rational) or number.q & (number.q - 1)
-        for number in expr.atoms(sympy.Number, sympy.NumberSymbol)
-        if not isinstance(number, sympy.Float)
-    ) or any(power.is_number for power in expr.atoms(sympy.Pow))

@@ -30,6 +30,7 @@ from hamsym.random_features.error_estimate import (
     disturbances,
     error_tables,
     kicks,
+    rows_of_signs,
     terms_of,
 )
 from hamsym.random_features.flow import Flow, flow_of
@@ -267,10 +268,9 @@ def _shared(flow: Flow, basis: FeatureBasis, local: float) -> Shared:
         width=signs.shape[1],
         period=len(kicked),
         sign=signs,
-        disturbance=disturbances(tables.places, dim),
+        disturbance=disturbances(tables.places, rows_of_signs(flow)),
         kick=kicked,
         local=local,
-        rounded=float(flow.rounded),
         margin=MARGIN,
         least_step=LEAST_STEP,
         most_step=MOST_STEP,
