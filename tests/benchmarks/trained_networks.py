@@ -27,8 +27,8 @@ from .measuring import cpu, median
 from .results import Section
 
 _TIMES = 200
-_LIMIT, _ABLATION_LIMIT = 60.0, 10.0  # seconds of a call
-_WIDTHS = (50, 20, 10, 5)
+_LIMIT, _ABLATION_LIMIT = 60.0, 6.0  # seconds of a call
+_WIDTHS = (50, 10)
 
 _TOLERANCE, _ONE, _UNITS, _ABLATION = "tolerance", "one network", "units", "ablation"
 _CAPTIONS = {
@@ -174,7 +174,7 @@ def measure(quick: bool) -> Section:
             # The first call generates the code of H.
             replace(case, end=case.end / 20).solve(1e-3, NetworkChain())
             ready.add(case.label)
-        count = 1 if quick else 5 if training.table == _ABLATION else 10
+        count = 1 if quick else 3 if training.table == _ABLATION else 5
         row, first = _row(training, count)
         rows.append(row)
         print(row, flush=True)
