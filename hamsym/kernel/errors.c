@@ -24,7 +24,7 @@ void lay_out_errors(carrying *m, arena *arena, const equations *H, const error_t
   take_machine(arena, &m->velocity, H->velocity, m->stride);
   take_machine(arena, &m->force, H->force, m->stride);
   take_machine(arena, &m->hessian, H->hessian, m->stride);
-  m->shifted = can_shift(H->velocity) || can_shift(H->force);
+  m->shifted = arena->memory && (can_shift(&m->velocity) || can_shift(&m->force));
   m->terms = (term *)take(arena, 4 * a->terms + 1);
   m->changes = (v4 *)take(arena, 4 * rows);
   m->second = take(arena, H->hessian->results * nodes + 1);

@@ -34,8 +34,25 @@ EXPORTED int64_t hamsym_check_program(const program *p) {
 /* Doubles before the rows of a machine, for pointers to all rows, which take as much memory at most. */
 static long before_rows(const program *p) { return (all_rows(p) + LINE) / LINE * LINE; }
 
+/* Characters behind the rows of a machine: one for each row and each step. */
+static long behind_rows(const program *p) { return all_rows(p) + p->steps; }
+
 long machine_size(const program *p, long stride) {
-  return before_rows(p) + (p->parameters + p->numbers + p->intermediates) * stride;
+  return before_rows(p) + (p->parameters + p->numbers + p->intermediates) * stride + behind_rows(p) / sizeof(double) + 1;
+}
+
+/* Note the roundings of all steps. */
+static void note_roundings(machine *m, char *still) {
+  const program *p = m->program;
+  m->rounding = still + all_rows(p);
+  memset(still, 0, all_rows(p));
+  memset(still + p->dim + 1, 1, p->parameters + p->numbers);
+  for (long k = 0; k < p->steps; k++) {
+    const step *s = p->step + k;
+    int exact = s->operation == COPY || s->operation == NEGATIVE || (s->operation >= MAGNITUDE && s->operation <= MOST);
+    still[s->out] = still[s->first] && still[s->second];
+    m->rounding[k] = exact ? EXACT : still[s->out] ? STEADY : CHANGING;
+  }
 }
 
 void make_machine(machine *m, const program *p, double *memory, long stride) {
@@ -47,6 +64,7 @@ void make_machine(machine *m, const program *p, double *memory, long stride) {
   row += p->results;
   for (long k = 0; k < p->intermediates; k++, next += stride) m->row[row++] = next;
   for (long k = 0; k < p->numbers; k++) fill(m->row[p->dim + 1 + p->parameters + k], p->number[k], stride);
+  note_roundings(m, (char *)next);
 }
 
 void set_parameters(machine *m, const double *parameters, long stride) {
@@ -139,43 +157,24 @@ void run(machine *m, const double *states, const double *times, long n, double *
       perform(s->operation, row[s->first], row[s->second], row[s->out], n);
 }
 
-/* Whether an operation may round. */
-static int rounds(enum operation operation) {
-  return operation != COPY && operation != NEGATIVE && (operation < MAGNITUDE || operation > MOST);
-}
-
-/* Mark the rows that depend on neither the state nor the time before the first step. */
-static void mark_still(const program *p, char *still) {
-  memset(still, 0, all_rows(p));
-  memset(still + p->dim + 1, 1, p->parameters + p->numbers);
-}
-
-/* Whether a step depends on such rows alone, as its result does from here on. */
-static int is_still(const step *s, char *still) { return still[s->out] = still[s->first] && still[s->second]; }
-
-int can_shift(const program *p) {
-  char still[all_rows(p)];
-  mark_still(p, still);
+int can_shift(const machine *m) {
+  const program *p = m->program;
   for (long k = 0; k < p->numbers; k++)
     if (p->rest[k] != 0.0) return 1;
-  for (const step *s = p->step, *end = s + p->steps; s < end; s++)
-    if (is_still(s, still) && rounds(s->operation)) return 1;
-  return 0;
+  return p->steps && memchr(m->rounding, STEADY, p->steps);
 }
 
-/* Run with changed results of steps that do or do not depend on the state or the time. */
+/* Run with changed results of the steps with these roundings. */
 static void run_changed(machine *m, const double *states, const double *times, long n, const double *signs,
-                        double factor, int of_still, double *out) {
+                        double factor, enum rounding rounding, double *out) {
   const program *p = m->program;
-  char still[all_rows(p)];
-  mark_still(p, still);
   double **row = entered(m, states, times, n, out);
-  for (const step *s = p->step, *end = s + p->steps; s < end; s++, signs += n) {
-    int changed = is_still(s, still) == of_still && rounds(s->operation);
+  for (long k = 0; k < p->steps; k++, signs += n) {
+    const step *s = p->step + k;
     double *found = row[s->out];
     perform(s->operation, row[s->first], row[s->second], found, n);
-    for (long c = 0; c < n && changed; c += 4) {
-      v4 sign = of_still ? spread(*signs) : load(signs + c);
+    for (long c = 0; c < n && m->rounding[k] == (char)rounding; c += 4) {
+      v4 sign = rounding == STEADY ? spread(*signs) : load(signs + c);
       store(found + c, load(found + c) * (1.0 + factor * (EPS / 2) * sign));
     }
   }
@@ -184,7 +183,7 @@ static void run_changed(machine *m, const double *states, const double *times, l
 void run_disturbed(machine *m, const double *states, const double *times, long n, const double *signs, double factor,
                    double *out) {
   if (m->program->function) run(m, states, times, n, out);
-  else run_changed(m, states, times, n, signs, factor, 0, out);
+  else run_changed(m, states, times, n, signs, factor, CHANGING, out);
 }
 
 void run_shifted(machine *m, const double *states, const double *times, long n, const double *signs,
@@ -193,6 +192,6 @@ void run_shifted(machine *m, const double *states, const double *times, long n, 
   double **number = m->row + p->dim + 1 + p->parameters;
   for (long k = 0; k < p->numbers; k++) fill(number[k], p->number[k] + factor * p->rest[k], n);
   if (p->function) run(m, states, times, n, out);
-  else run_changed(m, states, times, n, signs, factor, 1, out);
+  else run_changed(m, states, times, n, signs, factor, STEADY, out);
   for (long k = 0; k < p->numbers; k++) fill(number[k], p->number[k], n);
 }

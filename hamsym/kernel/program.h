@@ -26,11 +26,15 @@ typedef struct {
   rows_function *function; /* in place of the steps, or null */
 } program;
 
+/* Roundings of a step: none, others at every place, or the same at all, since it depends on parameters and numbers alone. */
+enum rounding { EXACT, CHANGING, STEADY };
+
 /* A program with its rows in memory, each with room for `stride` numbers. */
 typedef struct {
   const program *program;
   const double *parameters;
   double **row;
+  char *rounding; /* of each step */
 } machine;
 
 /* Whether a step and the next one are the sine and the cosine of one row, which come together. */
@@ -54,7 +58,7 @@ void run_disturbed(machine *machine, const double *states, const double *times, 
 void run_shifted(machine *machine, const double *states, const double *times, long n, const double *signs,
                  double factor, double *out);
 /* Whether that changes anything. */
-int can_shift(const program *program);
+int can_shift(const machine *machine);
 void perform_rows(enum operation operation, const double *first, const double *second, double *out, long n);
 
 #endif
