@@ -32,6 +32,7 @@ _STARTS = 8
 #: Method, steps in a period, compensated, starts, periods.
 _RUNS = (
     ("sofroniou_spaletta10", 60, True, _STARTS, (100, 1_000, 10_000, 100_000, 1_000_000)),
+    ("sofroniou_spaletta10", 60, True, 4, (10_000_000,)),
     ("sofroniou_spaletta10", 60, False, _STARTS, (100, 1_000, 10_000, 100_000)),
     ("gauss12", 20, True, _STARTS, (100, 1_000, 10_000, 100_000)),
 )
