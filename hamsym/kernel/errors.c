@@ -208,6 +208,21 @@ static int eliminate(carrying *m, const rule *rule, const actions *a, long dim, 
   return good;
 }
 
+/* Subtract from one of the vectors of each component at their start what A times the integral of its residual drives. */
+static void drive(carrying *m, const rule *rule, const error_tables *t, const error_settings *s, const double *pushed,
+                  long vector, long dim, double h) {
+  long n = rule->nodes;
+  products(rule->drift, t->places, n, pushed, dim, m->drift);
+  for (long i = 0; i < dim; i++)
+    for (long c = 0; c < n; c++)
+      m->base[(i * m->each + vector) * n + c] -= m->drift[i * n + c] * (h * h / s->scale[i]);
+}
+
+/* Integral over a window of a residual and what A times its own integral adds, of one component. */
+static double through(const error_tables *t, const double *residual, const double *pushed, double h) {
+  return dot(residual, t->drift_end, t->places) + h * dot(pushed, t->drift_end, t->places);
+}
+
 /* Solve it at the nodes of a rule from the vectors at the start of window k; `coarse`: only if they resolve it. */
 static int solve_at(carrying *m, const equations *H, const rule *rule, const error_tables *t, const actions *a,
                     const error_settings *s, const windows *w, const double *joint, long k, double accuracy,
@@ -218,17 +233,9 @@ static int solve_at(carrying *m, const equations *H, const rule *rule, const err
   shift(m->at_nodes, w->state + k * dim, dim, n);
   stretch(rule->node, h, w->edge[k], n, m->node_times);
   run(&m->hessian, m->at_nodes, m->node_times, n, m->second);
-  products(rule->drift, t->places, n, m->pushed, dim, m->drift);
   for (long row = 0; row < dim * m->each; row++) fill(m->base + row * n, joint[row], n);
-  for (long i = 0; i < dim; i++)
-    for (long c = 0; c < n; c++)
-      m->base[i * m->each * n + c] -= m->drift[i * n + c] * (h * h / s->scale[i]);
-  if (m->shifted) {
-    products(rule->drift, t->places, n, m->steady_pushed, dim, m->drift);
-    for (long i = 0; i < dim; i++)
-      for (long c = 0; c < n; c++)
-        m->base[((i + 1) * m->each - 1) * n + c] -= m->drift[i * n + c] * (h * h / s->scale[i]);
-  }
+  drive(m, rule, t, s, m->pushed, 0, dim, h);
+  if (m->shifted) drive(m, rule, t, s, m->steady_pushed, m->each - 1, dim, h);
   int solved = a->linear ? transport_linear(m, rule, a, dim, h, accuracy) : transport(m, rule, a, dim, h, accuracy);
   if (coarse) return solved && unresolved(m, rule, a->linear ? dim / 2 : dim) <= t->resolved;
   return solved || eliminate(m, rule, a, dim, h);
@@ -270,27 +277,34 @@ static int residual(carrying *m, const equations *H, const error_tables *t, cons
   return mark;
 }
 
-/* Round-off of window k, as the change of the rates where states, times and the results of all operations are rounded
-   otherwise, is added to the vectors at its start. */
+/* Write the change of the rates where states, times and the results of all operations are rounded otherwise, `factor`
+   times, to m->disturbed. Roundings of numbers, and of what depends on parameters alone, push every window the same way:
+   they are a residual of the last vector, m->steady. Returns whether both are finite. */
+static int change_rates(carrying *m, const equations *H, const error_tables *t, const double *signs, double factor) {
+  long dim = H->dim, places = t->places, half = H->velocity->results;
+  const double *of_steps = signs + dim * places;
+  if (m->shifted) {
+    run_shifted(&m->velocity, m->z, m->times, places, of_steps, factor, m->steady);
+    run_shifted(&m->force, m->z, m->times, places, of_steps, factor, m->steady + half * places);
+    for (long c = 0; c < dim * places; c++) m->steady[c] = (m->rates[c] - m->steady[c]) / factor;
+  }
+  disturb(m->z, signs, places, factor * (EPS / 2), dim, places, m->low);
+  disturb(m->times, signs, places, factor * (EPS / 2), 1, places, m->late);
+  run_disturbed(&m->velocity, m->low, m->late, places, of_steps, factor * SPREAD, m->disturbed);
+  run_disturbed(&m->force, m->low, m->late, places, of_steps, factor * SPREAD, m->disturbed + half * places);
+  for (long c = 0; c < dim * places; c++) m->disturbed[c] = (m->disturbed[c] - m->rates[c]) / factor;
+  return larger(row_size(m->steady, dim * places), row_size(m->disturbed, dim * places)) < INFINITY;
+}
+
+/* Round-off of window k is added to the vectors at its start. */
 static void disturb_vectors(carrying *m, const equations *H, const error_tables *t, const error_settings *s,
                             double *joint, long k, double length) {
-  long dim = H->dim, places = t->places, half = H->velocity->results;
-  long count = t->perturbations;
-  const double *signs = s->sign, *of_steps = signs + dim * places, *kicks = s->kick + (k % s->period) * dim * count;
-  if (m->shifted) {
-    /* Roundings of numbers, and of what depends on parameters alone, push every window the same way: they are a
-       residual of the last vector. */
-    run_shifted(&m->velocity, m->z, m->times, places, of_steps, MAGNIFIED, m->steady);
-    run_shifted(&m->force, m->z, m->times, places, of_steps, MAGNIFIED, m->steady + half * places);
-    for (long c = 0; c < dim * places; c++) m->steady[c] = (m->rates[c] - m->steady[c]) / MAGNIFIED;
-  }
-  disturb(m->z, signs, places, MAGNIFIED * (EPS / 2), dim, places, m->low);
-  disturb(m->times, signs, places, MAGNIFIED * (EPS / 2), 1, places, m->late);
-  run_disturbed(&m->velocity, m->low, m->late, places, of_steps, MAGNIFIED * SPREAD, m->disturbed);
-  run_disturbed(&m->force, m->low, m->late, places, of_steps, MAGNIFIED * SPREAD, m->disturbed + half * places);
+  long dim = H->dim, places = t->places, count = t->perturbations;
+  const double *kicks = s->kick + (k % s->period) * dim * count;
+  /* Beside the edge of a domain, as of a root, magnified roundings may leave it. */
+  if (!change_rates(m, H, t, s->sign, MAGNIFIED)) change_rates(m, H, t, s->sign, 1.0);
   for (long i = 0; i < dim; i++) {
-    double *change = m->disturbed + i * places;
-    for (long c = 0; c < places; c++) change[c] = (change[c] - m->rates[i * places + c]) / MAGNIFIED;
+    const double *change = m->disturbed + i * places;
     double noise = __builtin_sqrt(dot(change, change, places) / places);
     /* The places average the round-off, but not independently. */
     double kick = COHERENT * length * (noise + EPS * m->speeds[i]) / __builtin_sqrt(places) / s->scale[i];
@@ -450,13 +464,11 @@ int carry_errors(carrying *m, const equations *H, const error_tables *t, const a
     for (long row = 0; row < rows; row++)
       joint[row] += h * dot(m->moved + row * rule->nodes, rule->end, rule->nodes);
     for (long i = 0; i < dim; i++) {
-      double through = dot(m->dz + i * t->places, t->drift_end, t->places);
-      through += h * dot(m->pushed + i * t->places, t->drift_end, t->places);
-      joint[i * m->each] += (jumps[k * dim + i] - h * through) / s->scale[i];
-      if (!m->shifted) continue;
-      through = dot(m->steady + i * t->places, t->drift_end, t->places);
-      through += h * dot(m->steady_pushed + i * t->places, t->drift_end, t->places);
-      joint[(i + 1) * m->each - 1] -= h * through / s->scale[i];
+      long row = i * t->places;
+      double moved = h * through(t, m->dz + row, m->pushed + row, h);
+      joint[i * m->each] += (jumps[k * dim + i] - moved) / s->scale[i];
+      if (m->shifted)
+        joint[(i + 1) * m->each - 1] -= h * through(t, m->steady + row, m->steady_pushed + row, h) / s->scale[i];
     }
     for (long row = 0; row < rows; row++)
       if (!(fabs(joint[row]) <= LARGEST)) return LOST;

@@ -85,6 +85,13 @@ def test_floor_is_above_the_round_off_of_the_estimate(
     assert min(ratios) < 30
 
 
+def test_roundings_beside_the_edge_of_a_domain_are_finite() -> None:
+    """The root of (t - 3.3)**2, written out, is that of a negative number with other roundings."""
+    H = Hamiltonian("p**2/2 + x**2/2 + x*sqrt(t**2 - 6.6*t + 10.89)/10")
+    solution = hamsym.solve(H, [1.0, 0.0], (0, 10), tol=1e-11)
+    assert solution.success, solution.message
+
+
 def test_estimate_of_chaos_ends_with_the_motion() -> None:
     """The tangent map of this orbit overflows; inf - inf once counted as no error."""
     H = Hamiltonian("(px**2 + py**2)/2 + (x**2 + y**2)/2 + x**2*y - y**3/3")
