@@ -26,7 +26,13 @@ from hamsym.proof import checker as package
 from hamsym.proof.checker import guesses
 from hamsym.proof.checker.flow_maps import check_flow_map
 from hamsym.proof.checker.formulas import Formulas, NotProvenError
-from hamsym.proof.checker.functions import Equations, Polynomial, coefficients, expanded
+from hamsym.proof.checker.functions import (
+    Equations,
+    Polynomial,
+    coefficients,
+    expanded,
+    squares,
+)
 from hamsym.proof.checker.motion import Step, steps
 from hamsym.proof.checker.series import Series, exponents, term
 from hamsym.proof.checker.solutions import check_solution
@@ -174,6 +180,19 @@ def test_taylor_remainders_contain_the_function():
             slope = sum((n * c * x ** (n - 1) for n, c in enumerate(found.first) if n), arb(0))
             true = (x / 2).cos() / (2 * (x + 9)) - (x / 2).sin() / (x + 9) ** 2
             assert abs(slope - true) < found.rest_of_derivative()
+
+
+def test_values_of_polynomials_on_rectangles_are_close():
+    """Horner's rule for rectangles, which turns them, bounds these by 441."""
+    with ctx.workprec(53):
+        polynomial = Polynomial([arb(-1 / 8) ** k for k in range(58)])
+        for square in squares(5):
+            found, middle = polynomial(square), square.mid()
+            assert abs(found) < 6
+            for x in (-1, 0.6, 1):
+                for y in (-1, -0.3, 1):
+                    inner = acb(x * square.real.rad(), y * square.imag.rad())
+                    assert found.contains(polynomial(middle + inner).mid())
 
 
 def truth(text, z0, span):

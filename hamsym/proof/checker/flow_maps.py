@@ -17,14 +17,13 @@ with N the number of nu. Cells without a proof are halved.
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from itertools import pairwise
 from typing import Any
 
-from flint import acb, acb_poly, arb, arb_mat, arb_poly, arb_series, ctx
+from flint import acb, arb, arb_mat, arb_poly, arb_series, ctx
 
 from hamsym.proof.checker import guesses
 from hamsym.proof.checker.formulas import (
@@ -47,6 +46,7 @@ from hamsym.proof.checker.functions import (
     exact_numbers,
     identity,
     squares,
+    suprema,
 )
 from hamsym.proof.checker.map_polynomials import LegOnCell, WideCellError
 from hamsym.proof.checker.motion import End, Step, march, proven
@@ -324,6 +324,7 @@ class _Cell:
     def _defect(self, middle: Fraction, r: Fraction) -> list[arb]:
         """Bounds on |dy/dx - r f|."""
         y, time, run = self._y, clock(middle, r), self._check.equations.run_rates
+        parts = [{key: Polynomial(c.coeffs()) for key, c in part.items()} for part in y]
 
         def around(places: Sequence[_Near], R: float, shares: Sequence[float]) -> list[list[Any]]:
             known = self._check.parameters(self._discs([R * share for share in shares]))
@@ -333,15 +334,15 @@ class _Cell:
 
         def rests(shares: Sequence[float]) -> list[arb]:
             with ctx.workprec(COARSE):
-                parts = [acb((arb(2 * k + 1) + UNIT) / _PARTS - 1) for k in range(_PARTS)]
-                real = [_Near(y, x, known, shares) for x in parts]
+                places = [acb((arb(2 * k + 1) + UNIT) / _PARTS - 1) for k in range(_PARTS)]
+                real = [_Near(parts, x, known, shares) for x in places]
             return self._beyond(lambda R: around(real, R, shares), shares)
 
         beyond = rests(ones)
         if self._d > 1:
             beyond = [min(pair) for pair in zip(beyond, rests(self._shares()), strict=True)]
         late = self._late(
-            lambda R: around([_Near(y, x, known, ones) for x in squares(R)], 1, ones), r
+            lambda R: around([_Near(parts, x, known, ones) for x in squares(R)], 1, ones), r
         )
         found, size = [], ball(r)
         self._weights = [0.0] * self._d
@@ -365,7 +366,7 @@ class _Cell:
         """
         found = [arb("inf")] * self._dim
         for R in _RADII:
-            largest = _largest(around, R)
+            largest = suprema(around, R)
             if largest is None:
                 break
             rest, before = self._rest([R * share for share in shares]), found
@@ -401,7 +402,7 @@ class _Cell:
     def _late(self, around: Callable[[int], list[list[Any]]], r: Fraction) -> list[arb]:
         """Bounds on the sums of the terms with |nu| <= n and too many powers of x."""
         for R in DISCS:
-            largest = _largest(around, R)
+            largest = suprema(around, R)
             if largest is not None:
                 share = len(self._more) / (arb(R) ** (_ORDER - 1) * (R - 1))
                 found = [M * share for M in largest]
@@ -442,7 +443,7 @@ class _Near:
 
     def __init__(
         self,
-        y: Sequence[Mapping[int, arb_poly]],
+        y: Sequence[Mapping[int, Polynomial]],
         x: acb,
         exponents: Mapping[int, tuple[int, ...]],
         shares: Sequence[float],
@@ -454,8 +455,8 @@ class _Near:
             for key, c in part.items():
                 nu = exponents[key]
                 size = math.prod((powers[k][n] for k, n in enumerate(nu) if n), start=arb(1))
-                sizes[sum(nu)] += size * abs(acb_poly(c)(x)).abs_upper()
-            self._rows.append((acb_poly(part[0])(x), sizes[1:]))
+                sizes[sum(nu)] += size * abs(c(x)).abs_upper()
+            self._rows.append((part[0](x), sizes[1:]))
 
     def states(self, R: float) -> list[acb]:
         powers = [arb(R) ** n for n in range(1, _MOST + 1)]
@@ -463,15 +464,6 @@ class _Near:
             _disc(middle, sum((a * b for a, b in zip(sizes, powers, strict=True)), arb(0)))
             for middle, sizes in self._rows
         ]
-
-
-def _largest(around: Callable[[Any], list[list[Any]]], place: Any) -> list[arb] | None:
-    """Bounds on functions; None where they have no finite values."""
-    with contextlib.suppress(NotProvenError), ctx.workprec(COARSE):
-        values = around(place)
-        if all(value.is_finite() for each in values for value in each):
-            return [max(abs(v).abs_upper() for v in each) for each in zip(*values, strict=True)]
-    return None
 
 
 def _disc(middle: acb, radius: arb) -> acb:

@@ -11,6 +11,7 @@ import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from typing import Any, Protocol
 
 from flint import acb, acb_poly, arb, arb_mat, arb_poly, arb_series, ctx
@@ -92,10 +93,24 @@ class Polynomial:
         self.real = arb_poly(list(series))
         self._complex = acb_poly(self.real)
 
+    @cached_property
+    def _slopes(self) -> arb_poly:
+        return arb_poly([abs(c).abs_upper() for c in self.real.coeffs()]).derivative()
+
     def __call__(self, x: Any) -> Any:
         if isinstance(x, arb_series):
             return arb_series(self.real.coeffs(), x.prec)
-        return self._complex(x) if isinstance(x, acb) else self.real(x)
+        return self._around(x) if isinstance(x, acb) else self.real(x)
+
+    def _around(self, x: acb) -> acb:
+        """The values on a rectangle: those within |h| sum_k k |c_k| (|m| + |h|)^(k-1) of that at m.
+
+        Products of rectangles would turn them, and grow each power by up to sqrt(2)^k.
+        """
+        middle = x.mid()
+        change = abs(x - middle).abs_upper()
+        spread = (change * self._slopes(abs(middle) + change)).abs_upper()
+        return self._complex(middle) + acb(UNIT * spread, UNIT * spread)
 
 
 @dataclass(frozen=True)
@@ -120,18 +135,25 @@ def expanded(at: Callable[[Any], Sequence[Any]], order: int) -> list[Expansion]:
 
     - at: x -> values of the functions, for x as a power series or as a ball of complex numbers.
     """
-    found = series_of(at, order)
+    first = series_of(at, order)
     for R in DISCS:
-        with contextlib.suppress(NotProvenError):
-            with ctx.workprec(COARSE):
-                values = [at(square) for square in squares(R)]
-            # A NaN is not larger than any number: all are looked at before the largest is taken.
-            if all(value.is_finite() for each in values for value in each):
-                bounds = [
-                    max(abs(v).abs_upper() for v in each) for each in zip(*values, strict=True)
-                ]
-                return [Expansion(*pair, R) for pair in zip(found, bounds, strict=True)]
+        bounds = suprema(lambda R: [at(square) for square in squares(R)], R)
+        if bounds is not None:
+            return [Expansion(*pair, R) for pair in zip(first, bounds, strict=True)]
     raise NotProvenError("a function is not smooth there, or changes too fast")
+
+
+def suprema(around: Callable[[Any], Sequence[Sequence[Any]]], place: Any) -> list[arb] | None:
+    """Bounds on functions; None where they have no finite values.
+
+    - around: A place -> the values of the functions on sets that cover it.
+    """
+    with contextlib.suppress(NotProvenError), ctx.workprec(COARSE):
+        values = around(place)
+        # A NaN is not larger than any number: all are looked at before the largest is taken.
+        if all(value.is_finite() for each in values for value in each):
+            return [max(abs(v).abs_upper() for v in each) for each in zip(*values, strict=True)]
+    return None
 
 
 def series_of(at: Callable[[Any], Sequence[Any]], order: int) -> list[list[arb]]:
