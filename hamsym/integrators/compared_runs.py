@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hamsym.codegen.programs import programs_of
 from hamsym.errors import InputError
 from hamsym.integrators.coefficients import Scheme, Splitting
 from hamsym.integrators.hidden_features import Hidden, Path, hidden_features
@@ -20,6 +21,7 @@ from hamsym.integrators.richardson import Extrapolation, extrapolate, perturb
 from hamsym.integrators.stepper import Stepper
 from hamsym.integrators.table import INTEGRATORS, usual_method
 from hamsym.integrators.trajectory import Verdicts
+from hamsym.kernel.loops import LANES
 from hamsym.numerics.scales import SMALLEST, coupled_sizes, ratios
 from hamsym.problems.ensemble import Ensemble
 
@@ -130,6 +132,7 @@ class ComparedRuns:
         self._shifts[np.abs(self._shifts) <= 2 * _EPS * abs(span[1] - span[0])] = 0.0
         self._hidden = hidden_features(members.H)
         self.system = members.H.compile("numpy")
+        self._programs = programs_of(members.H.real_equations)
         #: Whether each member is summed with compensation; equal for members of one comparison.
         self.compensated = np.full(len(members), compensated)
         #: Whether the sizes of the components of each member are at least 1e-8 of the coupled ones.
@@ -187,7 +190,7 @@ class ComparedRuns:
             )
             shares = ratios(hidden.rounding, found.sizes)
             shares[agree] += ratios(
-                self._of_times(rows[agree], dense[agree], coarse), found.sizes[agree]
+                self._of_rates(rows[agree], dense[agree], coarse), found.sizes[agree]
             )
         rounding = np.where(agree, shares.max(axis=1) * growth, 0.0)
         found.add_round_off(rounding)
@@ -240,31 +243,37 @@ class ComparedRuns:
         moved[:, at] = stepper.step(count).reshape(len(rows), len(at), -1)
         return moved, stepper.evaluations
 
-    def _of_times(self, rows: np.ndarray, path: np.ndarray, coarse: int) -> np.ndarray:
-        """Effect of the rounding of the times at which rates are evaluated, shape (n, dim).
+    def _of_rates(self, rows: np.ndarray, path: np.ndarray, coarse: int) -> np.ndarray:
+        """Effect of the rounding of times, and of operations, where rates are evaluated, (n, dim).
 
-        A shift of all times changes the states by what they move in it. Errors that differ between
-        steps add up as independent ones do.
+        Where the results of operations cancel, rates have fewer digits than the state. Errors that
+        differ between steps add up as independent ones do. A shift of all times changes the states
+        by what they move in it.
 
         - path: States of the middle run, shape (n, times, dim).
         """
-        if not self.system.time_dependent:
-            return np.zeros((len(rows), path.shape[2]))
         start, end = self.span
         # At equal distances a periodic force may always have the same phase.
-        number = np.arange(min(path.shape[1] - 1, _TIMES))
+        number = np.arange(min((path.shape[1] - 1) // LANES * LANES, _TIMES) or LANES)
         places = (number + number * _GOLDEN % 1) / len(number)
-        z = path[:, (places * (path.shape[1] - 1)).astype(int)].transpose(1, 0, 2)
+        z = path[:, (places * (path.shape[1] - 1)).astype(int)]
         times = start + (end - start) * places
-        rounded = _EPS * max(abs(start), abs(end))
-        shifts = np.copysign(4 * rounded, (start + end) / 2 - times)  # into the span
         given = self.members.own_parameters(rows)
+        own = self.members.parameters[rows]
         with np.errstate(all="ignore"):
-            rates = self.system.at("vector_field", z, times[:, None], given)
-            moved = self.system.at("vector_field", z, (times + shifts)[:, None], given)
-            changes = np.sqrt(np.mean(((moved - rates) / 4) ** 2, axis=0))
-            largest = rounded / 2 * np.abs(rates).max(axis=0)
-        found = abs(end - start) * changes / math.sqrt(coarse) + largest
+            by_chance, alike = self._programs.roundings(z, np.tile(times, (len(rows), 1)), own)
+            found = np.abs(alike).mean(axis=1)
+            squares = np.mean(by_chance**2, axis=1)
+            largest = np.zeros_like(found)
+            if self.system.time_dependent:
+                z, t = z.transpose(1, 0, 2), times[:, None]
+                rounded = _EPS * max(abs(start), abs(end))
+                shifts = np.copysign(4 * rounded, (start + end) / 2 - t)  # into the span
+                rates = self.system.at("vector_field", z, t, given)
+                moved = self.system.at("vector_field", z, t + shifts, given)
+                squares += np.mean(((moved - rates) / 4) ** 2, axis=0)
+                largest = rounded / 2 * np.abs(rates).max(axis=0)
+            found = abs(end - start) * (found + np.sqrt(squares / coarse)) + largest
         return np.where(np.isnan(found), np.inf, found)
 
     def _hidden_features(

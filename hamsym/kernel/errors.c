@@ -11,8 +11,6 @@
 #define MISSED 1.1
 #define OSCILLATING 0.15
 #define FEW 400         /* windows in which the rounding of a table, alike in all of them, is less than round-off */
-#define MAGNIFIED 256.0 /* times roundings, so that they are not rounded themselves */
-#define SPREAD 0.41     /* of roundings, whose mean square is 1/6 of that of the largest one */
 #define ITERATIONS 60
 #define LEAST_SIZE 1e-280 /* of vectors, whose reciprocal relative to an accuracy is finite */
 #define KEPT 8          /* windows after one that coarse nodes do not resolve, in which they are not tried */
@@ -280,16 +278,17 @@ static int residual(carrying *m, const equations *H, const error_tables *t, cons
 /* Write the change of the rates where states, times and the results of all operations are rounded otherwise, `factor`
    times, to m->disturbed. Roundings of numbers, and of what depends on parameters alone, push every window the same way:
    they are a residual of the last vector, m->steady. Returns whether both are finite. */
-static int change_rates(carrying *m, const equations *H, const error_tables *t, const double *signs, double factor) {
+static int change_rates(carrying *m, const equations *H, const error_tables *t, const error_settings *s, double factor) {
   long dim = H->dim, places = t->places, half = H->velocity->results;
-  const double *of_steps = signs + dim * places;
+  const double *signs = s->sign, *of_steps = signs + dim * places;
   if (m->shifted) {
     run_shifted(&m->velocity, m->z, m->times, places, of_steps, factor, m->steady);
     run_shifted(&m->force, m->z, m->times, places, of_steps, factor, m->steady + half * places);
     for (long c = 0; c < dim * places; c++) m->steady[c] = (m->rates[c] - m->steady[c]) / factor;
   }
   disturb(m->z, signs, places, factor * (EPS / 2), dim, places, m->low);
-  disturb(m->times, signs, places, factor * (EPS / 2), 1, places, m->late);
+  /* Residuals that are given belong to the times as rounded. */
+  disturb(m->times, signs, places, s->residual ? 0.0 : factor * (EPS / 2), 1, places, m->late);
   run_disturbed(&m->velocity, m->low, m->late, places, of_steps, factor * SPREAD, m->disturbed);
   run_disturbed(&m->force, m->low, m->late, places, of_steps, factor * SPREAD, m->disturbed + half * places);
   for (long c = 0; c < dim * places; c++) m->disturbed[c] = (m->disturbed[c] - m->rates[c]) / factor;
@@ -302,7 +301,7 @@ static void disturb_vectors(carrying *m, const equations *H, const error_tables 
   long dim = H->dim, places = t->places, count = t->perturbations;
   const double *kicks = s->kick + (k % s->period) * dim * count;
   /* Beside the edge of a domain, as of a root, magnified roundings may leave it. */
-  if (!change_rates(m, H, t, s->sign, MAGNIFIED)) change_rates(m, H, t, s->sign, 1.0);
+  if (!change_rates(m, H, t, s, MAGNIFIED)) change_rates(m, H, t, s, 1.0);
   for (long i = 0; i < dim; i++) {
     const double *change = m->disturbed + i * places;
     double noise = __builtin_sqrt(dot(change, change, places) / places);

@@ -41,6 +41,7 @@ _ROW_FUNCTION = ctypes.CFUNCTYPE(None, c_void_p, c_void_p, c_void_p, c_void_p, c
 _SIGNATURES = {
     "hamsym_check_program": "i p",
     "hamsym_run": "i ppppip",
+    "hamsym_roundings": "i ppppiippp",
     "hamsym_first_length": "d pppppdd",
     "hamsym_march": "i pppppi",
     "hamsym_errors": "i ppppppppi",
@@ -237,6 +238,33 @@ class Program(Record):
         self.check()
         return out[:, :count]
 
+    def roundings(
+        self, states: np.ndarray, times: np.ndarray, parameters: np.ndarray
+    ) -> np.ndarray:
+        """Compute by how much the values change where results of operations are rounded otherwise.
+
+        Numbers and what depends on parameters alone change alike at all times, others by chance.
+
+        - states, times, parameters: Shapes (groups, dim, n), (groups, n), (groups, k); n is a
+          multiple of ``LANES``.
+        - returns: Changes by chance, and those that are alike, shape (2, groups, results, n).
+        """
+        groups, _, count = states.shape
+        signs = np.random.default_rng(0).choice((-1.0, 1.0), size=(self.steps, count))
+        found = np.empty((2, groups, self.results, count))
+        given = [np.ascontiguousarray(a, dtype=float) for a in (parameters, states, times)]
+        done = library().hamsym_roundings(
+            ctypes.byref(self),
+            *map(address, given),
+            groups,
+            count,
+            address(signs),
+            *map(address, found),
+        )
+        require_memory(done)
+        self.check()
+        return found
+
     def check(self) -> None:
         """Raise what the function of rows raised."""
         failure, self.failure = self.failure, None
@@ -253,6 +281,15 @@ class Equations(Record):
         """Evaluate dz/dt at states (n, dim), times (n,), parameters (k,): shape (n, dim)."""
         halves = [self.program(name)(z.T, t, parameters) for name in ("velocity", "force")]
         return np.concatenate(halves).T
+
+    def roundings(self, z: np.ndarray, t: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        """Compute by how much dz/dt changes where results of operations are rounded otherwise.
+
+        As :meth:`Program.roundings`, with states of shape (groups, n, dim).
+        """
+        z = z.transpose(0, 2, 1)
+        halves = [self.program(name).roundings(z, t, parameters) for name in ("velocity", "force")]
+        return np.concatenate(halves, axis=2).transpose(0, 1, 3, 2)
 
     def program(self, name: str) -> Program:
         """Return the program of a name."""

@@ -290,3 +290,32 @@ EXPORTED int64_t hamsym_run(const program *p, const double *parameters, const do
   free(memory);
   return 1;
 }
+
+/* Changes of the values of a program, at n states in each group, where the results of operations are rounded otherwise:
+   by chance, and alike at all states. n is a multiple of eight; a row of n signs belongs to each step. */
+EXPORTED int64_t hamsym_roundings(const program *p, const double *parameters, const double *states, const double *times,
+                                  int64_t groups, int64_t n, const double *signs, double *changing, double *steady) {
+  long size = machine_size(p, n), values = p->results * n;
+  double *memory = calloc(size + values, sizeof(double)), *usual = memory + size;
+  if (!memory) return 0;
+  machine m;
+  make_machine(&m, p, memory, n);
+  for (long k = 0; k < groups; k++, states += p->dim * n, times += n, changing += values, steady += values) {
+    set_parameters(&m, parameters + k * p->parameters, n);
+    run(&m, states, times, n, usual);
+    /* Beside the edge of a domain, as of a root, magnified roundings may leave it. */
+    int finite = 0;
+    for (double factor = MAGNIFIED; !finite && factor >= 1.0; factor /= MAGNIFIED) {
+      run_disturbed(&m, states, times, n, signs, factor * SPREAD, changing);
+      run_shifted(&m, states, times, n, signs, factor, steady);
+      finite = 1;
+      for (long c = 0; c < values; c++) {
+        changing[c] = (changing[c] - usual[c]) / factor;
+        steady[c] = (steady[c] - usual[c]) / factor;
+        finite = finite && fabs(changing[c]) < INFINITY && fabs(steady[c]) < INFINITY;
+      }
+    }
+  }
+  free(memory);
+  return 1;
+}

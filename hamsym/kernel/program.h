@@ -42,6 +42,9 @@ INLINE int has_both(const step *s, const step *end) {
   return s->operation == SIN && s + 1 < end && s[1].operation == COS && s[1].first == s->first && s->out != s->first;
 }
 
+#define MAGNIFIED 256.0 /* times roundings, so that they are not rounded themselves */
+#define SPREAD 0.41     /* of roundings, whose mean square is 1/6 of that of the largest one */
+
 /* How many rows a program has. */
 long all_rows(const program *program);
 /* Doubles that a machine needs for rows of at most `stride` numbers. */

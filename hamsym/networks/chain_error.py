@@ -1,13 +1,10 @@
-"""Error estimate of a chain of networks: truncation and round-off.
+"""Error estimate of a chain of networks: that of a march through the same motion.
 
-The error delta = z - z^ obeys delta' = F(z^ + delta) - F(z^) - r with r the residual. With
-A = J Hess along z^ it is delta' = A delta + q - r, q the terms of higher order, which are found by
-iteration. Each window of the chain is divided until the residual, which oscillates about as often
-as the network has collocation points, is resolved. In each part the equation is solved by
-collocation (:mod:`hamsym.numerics.tangent_maps`), and the parts are joined by their tangent maps.
-
-Round-off is moved with the error: at each joint a perturbation of the size of one unit in the last
-place of the state and of the change that such a unit causes in F, with random signs.
+Each window of the chain is divided until the residual, which oscillates about as often as the
+network has collocation points, is resolved. In each part random features are fitted to the
+networks, which gives J Hess along z^ and the round-off of F; the residual is that of the networks.
+The equation of the error is solved as for a march
+(:func:`hamsym.random_features.error_estimate.estimate_error`).
 """
 
 from __future__ import annotations
@@ -20,20 +17,15 @@ import numpy as np
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.networks.chain import Chain, ChainTraining
 from hamsym.networks.chain_training import points_of
-from hamsym.numerics.collocation import collocation
-from hamsym.numerics.scales import resolved_sizes
-from hamsym.numerics.tangent_maps import TangentMaps
+from hamsym.random_features.basis import feature_basis
+from hamsym.random_features.error_estimate import FINE, USUAL, error_tables, estimate_error
+from hamsym.random_features.flow import flow_of
+from hamsym.random_features.windows import March
 from hamsym.solution.window_error import WindowError
 
-_NODES, _FINE_NODES = 32, 48  # of a part: for the estimate, and for its check
 _POINTS_PER_PART = 16  # collocation points of the network
-_SETS = 4  # of random perturbations
-_ROUND_OFF = 2.0  # size of a perturbation, in units in the last place
+_ROUND_OFF = 2.0  # of the states at which networks begin, in units in the last place
 _EPS = float(np.finfo(float).eps)
-_CORRECTIONS = 6  # iterations of the terms of higher order
-_SETTLED = 0.01  # last change of the error by them, relative
-_SMALL = 1e-6  # errors, relative to the motion, below which these terms are round-off
-_TOO_LARGE = 0.1  # and above which there is no estimate
 
 
 class ChainError(WindowError):
@@ -50,7 +42,7 @@ class ChainError(WindowError):
 
     def refined(self, path: Any) -> ChainError:
         """Estimate the error of the same chain with more nodes."""
-        return estimate_chain_error(path.H, path.trial, path.record, nodes=_FINE_NODES).error
+        return estimate_chain_error(path.H, path.trial, path.record, resolution=FINE).error
 
 
 class ErrorOfChain(NamedTuple):
@@ -61,76 +53,48 @@ class ErrorOfChain(NamedTuple):
 
 
 def estimate_chain_error(
-    H: Hamiltonian, chain: Chain, training: ChainTraining, *, nodes: int = _NODES
+    H: Hamiltonian, chain: Chain, training: ChainTraining, *, resolution: int = USUAL
 ) -> ErrorOfChain:
     """Estimate the error of a chain from its residual.
 
-    - nodes: Of each part of a window.
+    - resolution: Index of :data:`hamsym.random_features.error_estimate.RESOLUTIONS`.
     """
-    system, rule = H.compile("numpy"), collocation(nodes)
+    flow, basis = flow_of(H), feature_basis()
     edges = _parts(chain, training)
-    lengths, dim = np.diff(edges), H.dim
-    count = len(lengths)
-    # Times inside a part belong to its window also where they round to its end.
-    t = (edges[:-1, None] + lengths[:, None] * rule.nodes).ravel()
+    lengths, count = np.diff(edges)[:, None], len(edges) - 1
+
+    def at(places: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return states, rates and residuals at places of all parts, (parts, places, dim)."""
+        # Times inside a part belong to its window also where they round to its end.
+        t = (edges[:-1, None] + lengths * places).ravel()
+        z, rates = chain.states_and_rates(t)
+        residuals = rates - flow.vector_field(z, t)
+        return tuple(a.reshape(count, len(places), H.dim) for a in (z, rates, residuals))
 
     with np.errstate(all="ignore"):
-        z, dz = chain.states_and_rates(t)
-        rates = system.at("vector_field", z, t)
-        jacobians = system.at("jacobian", z, t)
-        scale = resolved_sizes(
-            np.abs(z).max(axis=0),
-            np.abs(jacobians).mean(axis=0),
-            abs(float(edges[-1] - edges[0])),
+        z, rates, _ = at(basis.nodes)
+        readouts = basis.fit @ (rates * lengths[:, None])
+        states, end = chain.states_and_rates(edges)[0], basis.end.astype(float)
+        # The windows join at the ends of the parts, as the networks do.
+        gaps = np.diff(states, axis=0) - np.einsum("m,wmd->wd", end, readouts)
+        readouts += (end / (end @ end))[:, None] * gaps[:, None]
+        *_, residuals = at(error_tables(basis, resolution)["place"])
+        path = March(
+            edges, states, readouts, edges[-1], "", 0, 0, np.abs(z).max(axis=(0, 1)), 0.0, 0.0, 0
         )
-        unit = np.where(scale > 0, scale, 1.0)
-        signs = np.random.default_rng(0).choice((-1.0, 1.0), size=(_SETS, count, dim))
-        disturbed = z * (1 + _EPS * np.repeat(signs[0], nodes, axis=0))
-        nearby = system.at("vector_field", disturbed, t)
-        noise = np.abs(nearby - rates).reshape(count, nodes, dim).max(axis=1)
-        kicks = _EPS * np.abs(z).reshape(count, nodes, dim).max(axis=1)
-        kicks = _ROUND_OFF * (kicks + np.abs(lengths)[:, None] * noise) / unit
-        residual = (rates - dz).reshape(count, nodes, dim)
-        jacobians = jacobians.reshape(count, nodes, dim, dim)
-        forcing, error = residual, np.zeros((count, nodes, dim))
-        good, settled = count, False
-        for _ in range(_CORRECTIONS):
-            columns = np.concatenate((jacobians[:good], forcing[:good, :, :, None]), -1)
-            maps = TangentMaps(columns, lengths[:good], unit)
-            inside, ends = _joined(maps)
-            sizes = np.abs(inside).max(axis=(1, 2))
-            large = np.flatnonzero(~(sizes <= _TOO_LARGE))
-            if len(large):
-                good = int(large[0])
-                if not good:
-                    break
-                continue
-            change = np.abs(inside - error[:good] / unit).max()
-            error = inside * unit
-            if sizes.max() <= _SMALL or change <= _SETTLED * sizes.max():
-                settled = True
-                break
-            moved = z[: good * nodes] + error.reshape(-1, dim)
-            higher = system.at("vector_field", moved, t[: good * nodes])
-            higher = higher.reshape(good, nodes, dim) - rates.reshape(count, nodes, dim)[:good]
-            linear = np.einsum("wnij,wnj->wni", jacobians[:good], error)
-            forcing = residual[:good] + higher - linear
-        good = good if settled else 0
-        series = np.full((count, nodes, dim), np.inf)
-        floors, largest = np.full((count, dim), np.inf), np.full(dim, np.inf)
-        if good:
-            series[:good] = np.einsum("ln,wnd->wld", rule.to_series, error)
-            floors[:good] = _floors(maps, kicks, signs) * unit
-        if good == count:
-            peaks = np.maximum(np.abs(error).max(axis=1), np.abs(ends[1:] * unit))
-            largest = (peaks + floors).max(axis=0)
-    limit = ""
-    if not np.isfinite(largest).all():
-        limit = f"errors grow too large for an estimate by t = {edges[good]:.6g}"
-        if not np.isfinite(jacobians[good]).all():
-            limit = f"the Hessian of H is not finite near t = {edges[good]:.6g}"
-        largest = np.full(dim, np.inf)
-    return ErrorOfChain(ChainError(edges, series, floors, largest, scale, np.zeros(())), limit)
+        found = estimate_error(
+            path,
+            basis,
+            flow,
+            resolution=resolution,
+            residuals=residuals.transpose(0, 2, 1),
+            late=_joints(chain, edges, states),
+        )
+    error = found.error
+    return ErrorOfChain(
+        ChainError(edges, error.series, error.floors, error.largest, error.scale, error.origin),
+        found.limit,
+    )
 
 
 def _parts(chain: Chain, training: ChainTraining) -> np.ndarray:
@@ -144,23 +108,8 @@ def _parts(chain: Chain, training: ChainTraining) -> np.ndarray:
     return np.append(np.concatenate(inside), edges[-1])
 
 
-def _joined(maps: TangentMaps) -> tuple[np.ndarray, np.ndarray]:
-    """Return errors inside the parts (parts, nodes, dim) and at their edges (parts + 1, dim)."""
-    count, dim, _ = maps.ends.shape
-    ends = np.zeros((count + 1, dim))
-    for k in range(count):
-        ends[k + 1] = maps.ends[k, :, :dim] @ ends[k] + maps.ends[k, :, dim]
-    inside = np.einsum("inkw,wk->wni", maps.inside[:, :, :dim], ends[:-1])
-    return inside + maps.inside[:, :, dim].transpose(2, 1, 0), ends
-
-
-def _floors(maps: TangentMaps, kicks: np.ndarray, signs: np.ndarray) -> np.ndarray:
-    """Return the size of accumulated round-off in each part, shape (parts, dim)."""
-    count, dim, _ = maps.ends.shape
-    moved, floors = np.zeros((_SETS, dim)), np.empty((count, dim))
-    for k in range(count):
-        now = moved + signs[:, k] * kicks[k]
-        within = np.einsum("ink,sk->sni", maps.inside[:, :, :dim, k], now)
-        moved = now @ maps.ends[k, :, :dim].T
-        floors[k] = np.maximum(np.abs(within).max(axis=(0, 1)), np.abs(moved).max(axis=0))
-    return floors
+def _joints(chain: Chain, edges: np.ndarray, states: np.ndarray) -> np.ndarray:
+    """Return roundings of the states at which networks begin, with random signs, (parts, dim)."""
+    signs = np.random.default_rng(2).choice((-1.0, 1.0), size=states[:-1].shape)
+    joints = np.isin(edges[:-1], chain.edges[1:-1])[:, None]
+    return np.where(joints, _ROUND_OFF * _EPS * np.abs(states[:-1]) * signs, 0.0)

@@ -42,7 +42,7 @@ RESOLUTIONS = {
     16: ((8, 16, 24), (40, 40, 72)),
     24: ((8, 24, 32), (40, 40, 72)),
 }
-_USUAL, _FINE = range(2)
+USUAL, FINE = range(2)
 #: Last coefficients of the vectors at the coarse nodes, times their accuracy, at most: those left
 #: out are smaller by a factor.
 _RESOLVED = (100.0, 10.0)
@@ -71,7 +71,7 @@ class MarchError(WindowError):
     def refined(self, path: Any) -> MarchError:
         """Estimate the error of the same march with half as many nodes again."""
         basis = basis_of_series(path.record.seed, path.trial.series)
-        return estimate_error(path.record, basis, flow_of(path.H), resolution=_FINE).error
+        return estimate_error(path.record, basis, flow_of(path.H), resolution=FINE).error
 
 
 class Estimate(NamedTuple):
@@ -93,14 +93,17 @@ def estimate_error(
     basis: FeatureBasis,
     flow: Flow,
     tolerance: float = 0.0,
-    resolution: int = _USUAL,
+    resolution: int = USUAL,
     residuals: np.ndarray | None = None,
+    late: np.ndarray | None = None,
 ) -> Estimate:
     """Estimate the error of a march from its residual, with the linear equation of the error.
 
     - tolerance: Local tolerance of the march.
     - resolution: Index of :data:`RESOLUTIONS`.
-    - residuals: In place of those computed in float64, shape (windows, dim, places).
+    - residuals: In place of those computed in float64, at the times as rounded, shape (windows,
+      dim, places).
+    - late: Further errors of the states at the starts of windows, shape (windows, dim).
     """
     tables = error_tables(basis, resolution)
     count, _, dim = windows.readouts.shape
@@ -109,10 +112,9 @@ def estimate_error(
     moved = np.ones(dim)
     moved[_resting(windows, flow)] = 0.0
     lengths = np.abs(np.diff(windows.edges))
-    late = _late(windows, flow) if flow.switched_in_time else None
+    switches = _late(windows, flow) if flow.switched_in_time else None
     hidden = _hidden(windows, scale, tables.places, WindowChecks(flow, basis, tolerance))
-    if hidden is not None:
-        late = hidden if late is None else late + hidden
+    kicked = [errors for errors in (late, switches, hidden) if errors is not None]
     settings = ErrorSettings(
         period=_PERIOD,
         width=dim,
@@ -126,7 +128,7 @@ def estimate_error(
         kick=kicks(tables.perturbations, dim) * moved[:, None],
         parameters=flow.parameters,
         residual=residuals,
-        late=late,
+        late=sum(kicked) if kicked else None,
     )
     joint = np.zeros((dim, tables.perturbations + 2))
     series = np.full((count, tables.places, dim), np.inf)
@@ -175,7 +177,7 @@ def estimate_error(
 
 
 @functools.lru_cache(maxsize=16)
-def error_tables(basis: FeatureBasis, resolution: int = _USUAL) -> ErrorTables:
+def error_tables(basis: FeatureBasis, resolution: int = USUAL) -> ErrorTables:
     """Make the tables of the estimate for a basis."""
     coarse, usual, inside = RESOLUTIONS[len(basis.nodes)][resolution]
     perturbations, deviations = _PERTURBATIONS[len(basis.nodes)]

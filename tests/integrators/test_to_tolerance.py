@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import pickle
 import signal
+from fractions import Fraction
+from typing import Any
 
 import mpmath
 import numpy as np
@@ -165,6 +168,30 @@ def test_round_off_limits_success() -> None:
         assert found.success is possible
         if not possible:
             assert "limited by float64 round-off" in found.message
+
+
+@pytest.mark.parametrize(
+    ("formula", "parameters", "stiffness", "start", "end", "tol"),
+    [
+        # Of exp(x) - 1 few digits are left, or none, although x has sixteen.
+        ("p**2/2 + exp(x) - x", {}, 1, 1e-17, 3, 1e-4),
+        ("p**2/2 + exp(x) - x", {}, 1, 1e-12, 3, 1e-6),
+        # Roundings of w**2 push all steps the same way.
+        (
+            "p**2/2 + (k - w**2)*x**2/2",
+            {"k": 1.0, "w": 0.9999999},
+            1 - Fraction(0.9999999) ** 2,
+            *(1.0, 1e6, 1e-9),
+        ),
+    ],
+)
+def test_roundings_of_terms_that_cancel_are_in_the_error(
+    formula: str, parameters: dict[str, float], stiffness: Any, start: float, end: float, tol: float
+) -> None:
+    found = hamsym.integrate(formula, [start, 0.0], (0, end), parameters=parameters, tol=tol)
+    w = math.sqrt(stiffness)
+    true = [start * math.cos(w * end), -start * w * math.sin(w * end)]
+    assert (np.abs(found.z[-1] - true) <= found.errors[-1]).all()
 
 
 def test_a_changed_energy_is_no_success(monkeypatch: pytest.MonkeyPatch) -> None:

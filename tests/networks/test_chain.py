@@ -274,6 +274,15 @@ def test_estimate_of_a_wrong_motion_is_infinite() -> None:
     assert np.isinf(estimate.error.largest).all()
 
 
+def test_roundings_of_terms_that_cancel_are_in_the_estimate() -> None:
+    """exp(x) - 1 is zero in float64, and the networks stand still."""
+    solution = hamsym.solve(
+        "p**2/2 + exp(x) - x", [1e-17, 0.0], (0, 3), method="network-chain", tol=1e-3
+    )
+    assert not solution.success
+    assert "round-off" in solution.message
+
+
 def test_estimate_agrees_with_its_check() -> None:
     solution = hamsym.solve(
         PENDULUM, [1.0, 0.5], (0, 5), method=hamsym.NetworkChain(hidden=(8,)), tol=1e-3

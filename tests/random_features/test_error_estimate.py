@@ -14,7 +14,7 @@ import hamsym
 from hamsym import Hamiltonian
 from hamsym.random_features.basis import FeatureBasis, feature_basis
 from hamsym.random_features.error_estimate import (
-    _FINE,
+    FINE,
     Estimate,
     MarchError,
     error_tables,
@@ -234,7 +234,7 @@ def test_error_in_long_windows_is_resolved(local: float) -> None:
     for z0 in np.random.default_rng(1).uniform(-2, 2, (12, 4)):
         windows = march(flow, z0, (0.0, 20.0), local, basis, longest=2.5)
         usual = estimate_error(windows, basis, flow, local)
-        fine = estimate_error(windows, basis, flow, local, resolution=_FINE)
+        fine = estimate_error(windows, basis, flow, local, resolution=FINE)
         if not usual.limit:
             t = np.linspace(0, 20, 2_001)
             error, exact = usual.error(t), fine.error(t)
