@@ -71,9 +71,10 @@ class StepScales:
             return np.zeros((len(z), len(blocks)), dtype=bool)
         g = on_trajectories(self._arguments, self._identifiers, z, t, parameters)
         found = np.ones((len(z), len(blocks)), dtype=bool)
+        states = np.ascontiguousarray(blocks.T)  # long rows have their largest values sooner
         for k, scale in enumerate(self._scales):
-            values = g[:, blocks, k]
-            high, low = values.max(axis=2), values.min(axis=2)
+            values = g[:, states, k]
+            high, low = values.max(axis=1), values.min(axis=1)
             if scale is Scale.RATIO:
                 sizes = np.abs(high), np.abs(low)
                 found &= np.maximum(*sizes) <= scale.value * np.minimum(*sizes)

@@ -29,9 +29,17 @@ class Collocation:
 
     def interpolation(self, s: np.ndarray) -> np.ndarray:
         """Return the matrix from values at the nodes to values at s, shape (len(s), n)."""
+        return self.interpolated(np.eye(len(self.nodes)), s)
+
+    def interpolated(self, values: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Return polynomials through values at the nodes, at places s.
+
+        Shapes (..., n, dim) and (..., k) -> (..., k, dim).
+        """
         # Extended precision is multiplied in one order; BLAS has one for each processor.
-        values = chebyshev.chebvander((2 * s - 1).astype(np.longdouble), len(self.nodes) - 1)
-        return np.asarray((values @ self.to_series.astype(np.longdouble)).astype(float))
+        series = self.to_series.astype(np.longdouble) @ values.astype(np.longdouble)
+        basis = chebyshev.chebvander((2 * s - 1).astype(np.longdouble), len(self.nodes) - 1)
+        return np.asarray((basis @ series).astype(float))
 
 
 @functools.cache

@@ -103,7 +103,7 @@ class Arc:
         found = np.empty((len(s), self.ends.shape[1]))
         for k in np.unique(window):
             rows = window == k
-            found[rows] = rule.interpolation(s[rows]) @ self.values[k]
+            found[rows] = rule.interpolated(self.values[k], s[rows])
         return found
 
     def tails(self) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -540,12 +541,12 @@ def _repetitions(problem: Problem, arc: Arc) -> int:
     states = orbit(times)
     units = floored_sizes(np.ptp(states, axis=0), _SAME)
     found, shortest = 1, arc.period
-    for prime in _REPETITIONS:
+    # Most orbits are at another state after these parts of the period.
+    firsts = orbit(times[0] + shortest / np.array(_REPETITIONS))
+    near = (np.abs((firsts - states[0]) / units) < _SAME).all(axis=1)
+    for prime in itertools.compress(_REPETITIONS, near):
         # Near an equilibrium states are the same for long, elsewhere they are not.
-        while all(
-            np.abs((orbit(times[part] + shortest / prime) - states[part]) / units).max() < _SAME
-            for part in (slice(1), slice(None))
-        ):
+        while np.abs((orbit(times + shortest / prime) - states) / units).max() < _SAME:
             if _other_period(problem, found * prime):
                 break
             found, shortest = found * prime, shortest / prime

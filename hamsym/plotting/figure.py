@@ -88,6 +88,8 @@ class Figure(matplotlib.figure.Figure):
             if engine is None:
                 super().draw(renderer)
                 return
+            if isinstance(engine, ConstrainedLayoutEngine) and self.canvas.is_saving():
+                return  # matplotlib draws once more, without the engine
             self.set_layout_engine("none")  # which matplotlib would execute once more
             try:
                 super().draw(renderer)
@@ -324,22 +326,36 @@ def wrapped_words(words: Sequence[str], width: float, font: FontProperties) -> l
 
     A plain word that is wider than a line is broken too.
     """
-    lines, line = [], ""
-    for word in words:
-        joined = f"{line} {word}" if line else word
-        if _size(joined, font)[0] <= width:
-            line = joined
-            continue
-        if line:
-            lines.append(line)
-        while _size(word, font)[0] > width and not cbook.is_math_text(word):
-            length = len(word)
+    lines, rest = [], [*words]
+    while rest:
+        count = _fitting(rest, width, font)
+        word, length = rest[0], len(rest[0])
+        if count == 0 and length > 1 and not cbook.is_math_text(word):
             while length > 1 and _size(word[:length], font)[0] > width:
                 length = int(0.9 * length)
             lines.append(word[:length])
-            word = word[length:]
-        line = word
-    return [*lines, line] if line else lines
+            rest[0] = word[length:]
+            continue
+        count = max(count, 1)
+        lines.append(" ".join(rest[:count]))
+        rest = rest[count:]
+    return lines
+
+
+def _fitting(words: Sequence[str], width: float, font: FontProperties) -> int:
+    """Number of words that fit on a line: by the mean width of those tried, then the next numbers.
+
+    To measure a formula takes milliseconds, so that few lines are.
+    """
+    fits, too_many, tried = 0, len(words) + 1, len(words)
+    while too_many - fits > 1:
+        found = _size(" ".join(words[:tried]), font)[0]
+        if found <= width:
+            fits = tried
+        else:
+            too_many = tried
+        tried = min(max(int(tried * width / max(found, 1e-6)), fits + 1), too_many - 1)
+    return fits
 
 
 _sizes: dict[tuple[str, float], tuple[float, float]] = {}

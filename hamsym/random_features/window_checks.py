@@ -181,8 +181,7 @@ class WindowChecks:
                 at, residual = self._residuals(pieces, parts, NODES, given)
                 bounds, between, _ = bounds_on_parts(self.flow.programs, at, edges, parts, given)
                 between = np.fmin(between, bounds + np.abs(residual).max(axis=1))
-                shown = rule.interpolation(parts.places(NODES).ravel())
-                shown = shown.reshape(len(parts), len(NODES), -1) @ known[parts.window]
+                shown = rule.interpolated(known[parts.window], parts.places(NODES))
                 long = (lengths[parts.window] * parts.width)[:, None]
                 between = ratios(long * between, limits[parts.window])
                 beside = long * (weights @ (residual - shown)) / limits[parts.window]

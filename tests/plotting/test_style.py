@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import pickle
+from itertools import pairwise
 from pathlib import Path
 
 import matplotlib
@@ -100,9 +101,16 @@ def test_no_line_of_a_caption_is_wider_than_asked(text: str) -> None:
 
 def test_words_are_broken_at_the_width() -> None:
     canvas = matplotlib.figure.Figure(figsize=(4, 4), dpi=200)
-    lines = wrapped_words(["word"] * 20, 1.5, FONT)
-    widths = [canvas.text(0, 0, line, fontproperties=FONT).get_window_extent() for line in lines]
-    assert all(box.width / 200 <= 1.55 for box in widths)
+    words = ["word", "a", "$x^2$", "longer"] * 5
+    lines = wrapped_words(words, 1.5, FONT)
+    assert " ".join(lines) == " ".join(words)
+
+    def width(line: str) -> float:
+        return canvas.text(0, 0, line, fontproperties=FONT).get_window_extent().width / 200
+
+    assert all(width(line) <= 1.55 for line in lines)
+    # The first word of the next line has no room.
+    assert all(width(f"{line} {after.split()[0]}") > 1.45 for line, after in pairwise(lines))
 
 
 def test_axes_of_the_user_keep_their_style() -> None:

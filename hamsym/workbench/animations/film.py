@@ -152,7 +152,7 @@ class Film:
             pairs = places[at][:, list(scene.rods)]  # (members, rods, 2, 2)
             self._rods.set_segments(list(pairs.reshape(-1, 2, 2)))
             own = self._colors[:, [second for _, second in scene.rods]]
-            self._rods.set_color(list(own.reshape(-1, 4)))
+            self._rods.set(color=own.reshape(-1, 4))
         if self._length and scene.traced:
             self._draw_tails(at)
         self._time.set_text(self.time_text(float(self._times[number])))
@@ -176,7 +176,7 @@ class Film:
         age = np.linspace(first, at, pieces + 1)[1:] - (at - self._length)
         colors[..., 3] = age / self._length
         self._tails.set_segments(list(segments.reshape(-1, 2, 2)))
-        self._tails.set_color(list(colors.reshape(-1, 4)))
+        self._tails.set(color=colors.reshape(-1, 4))
 
     def pixels(self, dpi: float, numbers: Sequence[int] | None = None) -> Iterator[np.ndarray]:
         """Yield frames as colours, shape (height, width, 4), of uint8."""
