@@ -7,6 +7,7 @@ each other inside of functions.
 from __future__ import annotations
 
 import ast
+import functools
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -26,11 +27,29 @@ def module_files(root: Path) -> dict[str, Path]:
     return found
 
 
+@functools.cache
+def parsed(source: str) -> ast.Module:
+    return ast.parse(source)
+
+
+def imports_in(source: str) -> Iterator[ast.AST]:
+    """All statements, also those in functions; expressions, which are most nodes, have none."""
+    waiting: list[ast.AST] = [parsed(source)]
+    while waiting:
+        node = waiting.pop()
+        yield node
+        waiting += (
+            inner
+            for inner in ast.iter_child_nodes(node)
+            if isinstance(inner, ast.stmt | ast.excepthandler | ast.match_case)
+        )
+
+
 def imported_modules(
     source: str, module: str, is_package: bool, known: set[str], loading: bool = False
 ) -> Iterator[str]:
     """Modules among the known ones that a source imports: anywhere in it, or while it loads."""
-    for node in ast.parse(source).body if loading else ast.walk(ast.parse(source)):
+    for node in parsed(source).body if loading else imports_in(source):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):

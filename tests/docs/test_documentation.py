@@ -53,7 +53,8 @@ def test_docstring_examples(name: str) -> None:
     assert module.__doc__
     runner = doctest.DocTestRunner(optionflags=flags)
     for examples in _Finder().find(module, name):
-        runner.run(examples)
+        if examples.examples:  # a run without any looks at all files of source that were read
+            runner.run(examples)
     assert runner.summarize(verbose=False).failed == 0
 
 

@@ -35,12 +35,11 @@ BOUNDS = dict.fromkeys((*ONE_ARGUMENT, *TWO_ARGUMENTS), 1.5)
 BOUNDS |= dict.fromkeys(("sin", "cos", "exp", "log", "pow"), 1.0)
 
 
-def compiled(folder: Path, name: str, *command: str) -> ctypes.CDLL:
+def run_compiler(source: Path, target: Path, *command: str) -> Path:
     if shutil.which(command[0]) is None:
         pytest.skip(f"no C compiler: there is no program {command[0]} on the path")
-    target = folder / f"{name}.so"
-    subprocess.run([*command, *FLAGS, str(SOURCE), "-o", str(target)], check=True)
-    return ctypes.CDLL(str(target))
+    subprocess.run([*command, *FLAGS, str(source), "-o", str(target)], check=True)
+    return target
 
 
 def row_function(library: ctypes.CDLL, name: str, *, in_place: bool = False) -> Function:
@@ -61,8 +60,15 @@ def row_function(library: ctypes.CDLL, name: str, *, in_place: bool = False) -> 
 
 
 @pytest.fixture(scope="module")
-def library(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
-    return compiled(tmp_path_factory.mktemp("kernel"), "functions", "cc", "-O3")
+def unlinked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return run_compiler(
+        SOURCE, tmp_path_factory.mktemp("kernel") / "functions.o", "cc", "-O3", "-c"
+    )
+
+
+@pytest.fixture(scope="module")
+def library(unlinked: Path) -> ctypes.CDLL:
+    return ctypes.CDLL(str(run_compiler(unlinked, unlinked.with_suffix(".so"), "cc")))
 
 
 def exact_value(name: str, *arguments: float) -> mpmath.mpf:
@@ -254,8 +260,8 @@ def test_sine_and_cosine_together_are_those_alone(library: ctypes.CDLL) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="options of the linker of Linux")
-def test_functions_call_no_library(tmp_path: Path) -> None:
-    compiled(tmp_path, "alone", "cc", "-O3", "-nostdlib", "-Wl,-z,defs")
+def test_functions_call_no_library(unlinked: Path, tmp_path: Path) -> None:
+    run_compiler(unlinked, tmp_path / "alone.so", "cc", "-nostdlib", "-Wl,-z,defs")
 
 
 def variants() -> Iterator[Any]:
@@ -280,7 +286,7 @@ def variants() -> Iterator[Any]:
 def test_every_build_gives_the_same_bits(
     library: ctypes.CDLL, tmp_path: Path, command: tuple[str, ...]
 ) -> None:
-    other = compiled(tmp_path, "other", *command)
+    other = ctypes.CDLL(str(run_compiler(SOURCE, tmp_path / "other.so", *command)))
     for function in (*ONE_ARGUMENT, *TWO_ARGUMENTS):
         rows = (arguments_of(function),) if function in ONE_ARGUMENT else pairs_of(function)
         values = [row_function(build, function)(*rows) for build in (library, other)]
