@@ -85,7 +85,14 @@ def _compiled(source: str) -> Callable[..., Any]:
     linecache.cache[filename] = (len(source), None, source.splitlines(keepends=True), filename)
     namespace: dict[str, Any] = {}
     exec(compile(source, filename, "exec"), namespace)  # noqa: S102
-    function: Callable[..., Any] = namespace["values"]
+    return with_numbers_of_numpy(namespace["values"])
+
+
+def with_numbers_of_numpy(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Make the values of parameters numbers of numpy: Python's raise errors in 1/k and k**2."""
+    defaults = function.__kwdefaults__ or {}
+    for name, value in defaults.items():
+        defaults[name] = np.float64(value) if isinstance(value, float) else value
     return function
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from hamsym.codegen.backends import BACKENDS
+from hamsym.codegen.functions import with_numbers_of_numpy
 from hamsym.codegen.generate import Source, generate
 from hamsym.errors import InputError
 from hamsym.numerics.symplectic import generators
@@ -125,6 +126,8 @@ class System(Shown):
             if part not in self._loaded:
                 _run(self._source.part(part), self.backend, part, self._module)
                 self._loaded.add(part)
+                if self.backend == "numpy" and hasattr(self._module, part):
+                    with_numbers_of_numpy(getattr(self._module, part))
         return getattr(self._module, name)  # type: ignore[no-any-return]
 
     @property

@@ -22,7 +22,7 @@ import pytest
 import sympy
 import torch
 
-from hamsym import Hamiltonian, InputError, integrate
+from hamsym import Hamiltonian, InputError, integrate, solve
 from hamsym.codegen.backends import FUNCTIONS, PYTHON_NAMES
 from hamsym.codegen.generate import Source, _wrapped
 from hamsym.codegen.system import System
@@ -357,6 +357,27 @@ def test_parameters_are_keywords_with_the_bound_values(backend: str) -> None:
     assert call(system, "energy", z, c=0.5, k=0.0, m=2.0) == pytest.approx(1.5)
     with pytest.raises(TypeError, match="'c'"):
         call(system, "energy", z)
+
+
+@pytest.mark.parametrize(
+    ("formula", "value"),
+    [
+        ("p**2/2 + x**2/k", 0.0),
+        ("sqrt(p**2 + k**2) + x**2", 1e300),
+        ("p**2/2 + x**2*k**(3/2)", -1.0),
+    ],
+)
+def test_parameters_without_a_finite_H_are_refused_in_one_sentence(
+    formula: str, value: float
+) -> None:
+    """Operations on Python's numbers raise ZeroDivisionError and OverflowError, or are complex."""
+    H = Hamiltonian(formula, parameters={"k": value})
+    with np.errstate(all="ignore"):
+        assert not np.isfinite(H.compile("numpy").energy([1.0, 1.0]))
+        assert not np.isfinite(H.observable(H.expr)([1.0, 1.0]))
+    with pytest.raises(InputError, match="H or its gradient is not finite at z0"):
+        solve(H, [1.0, 1.0], (0, 1))
+    assert not integrate(H, [1.0, 1.0], (0, 1), tol=1e-6).success
 
 
 def test_gradients_flow_to_parameters() -> None:
