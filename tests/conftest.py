@@ -73,6 +73,7 @@ def backend(request: pytest.FixtureRequest) -> str:
 def pytest_collection_finish() -> None:
     gc.freeze()
     gc.enable()
+    gc.set_threshold(20_000, 20, 50)  # by default a twentieth of the time goes into looking for it
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -1,5 +1,6 @@
 """Families that leave at bifurcations, against published ones and other integrators."""
 
+import functools
 import math
 
 import numpy as np
@@ -40,6 +41,18 @@ def along_y():
     return hamsym.periodic_orbit(HENON_HEILES, z0).family(energy=0.165)
 
 
+@pytest.fixture(scope="module")
+def on_branch(along_y):
+    """The orbit on a side of a branch that has 0.0005 more energy than the bifurcation."""
+
+    @functools.cache
+    def found(k, side=1):
+        energy = along_y.branches[k].orbit.energy + 0.0005
+        return along_y.branch(k, side=side, energy=energy)[-1]
+
+    return found
+
+
 def lyapunov_orbit(kind):
     """A small planar orbit about a Lagrange point of the earth and the moon."""
     H = hamsym.systems.halo_orbits().H
@@ -53,10 +66,9 @@ def lyapunov_orbit(kind):
 
 
 @pytest.mark.parametrize("k", range(4))
-def test_families_leave_the_orbit_along_y(along_y, k):
+def test_families_leave_the_orbit_along_y(along_y, on_branch, k):
     # Brack 2001: period doublings, and pairs of loops that leave with the same period
-    found = along_y.branches[k]
-    orbit = along_y.branch(k, energy=found.orbit.energy + 0.0005)[-1]
+    found, orbit = along_y.branches[k], on_branch(k)
     turns = 2 if found.kind == "period doubling" else 1
     assert orbit.success
     assert orbit.repetitions == 1
@@ -67,33 +79,35 @@ def test_families_leave_the_orbit_along_y(along_y, k):
     assert distance(orbit, same) > 1e-3
 
 
-def test_orbits_of_the_family_are_those_of_no_branch(along_y):
-    found = along_y.branches[2]
-    branch = along_y.branch(2, energy=found.orbit.energy + 0.0005)[-1]
+def test_orbits_of_the_family_are_those_of_no_branch(along_y, on_branch):
+    found, branch = along_y.branches[2], on_branch(2)
     later = hamsym.periodic_orbit(HENON_HEILES, (along_y[-1](1.0), along_y[-1].period))
     assert is_new(branch, found.orbit, None, 0.02, 1e-10)
     assert not is_new(along_y[found.after], found.orbit, None, 0.02, 1e-10)
     assert not is_new(later, found.orbit, None, 0.02, 1e-10)
 
 
-def test_sides_of_a_branch_are_images_of_each_other(along_y):
-    energy = along_y.branches[2].orbit.energy + 0.0005
-    one, other = (along_y.branch(2, side=side, energy=energy)[-1] for side in (1, -1))
+def test_sides_of_a_branch_are_images_of_each_other(on_branch):
+    one, other = on_branch(2), on_branch(2, -1)
     assert distance(one, other) > 1e-3  # the same curve of states in another sense
     mirrored = hamsym.periodic_orbit(
-        HENON_HEILES, (one.z0 * np.array([-1, 1, -1, 1]), one.period), energy=energy
+        HENON_HEILES, (one.z0 * np.array([-1, 1, -1, 1]), one.period), energy=one.energy
     )
     assert distance(mirrored, other) < 2e-4
 
 
-def test_halo_family_leaves_the_planar_one_where_published():
+@pytest.fixture(scope="module")
+def planar():
+    return lyapunov_orbit("L1").family(energy=-1.58)
+
+
+def test_halo_family_leaves_the_planar_one_where_published(planar):
     # Farquhar & Kamel 1973, Howell 1984: near C = 3.1743 at L1 of the earth and the moon
-    family = lyapunov_orbit("L1").family(energy=-1.58)
-    (found,) = family.branches
+    (found,) = planar.branches
     assert found.kind == "branching"
     assert -2 * found.orbit.energy == pytest.approx(3.17435, abs=5e-6)
     energy = found.orbit.energy + 0.002
-    sides = [family.branch(0, side=side, energy=energy)[-1] for side in (1, -1)]
+    sides = [planar.branch(0, side=side, energy=energy)[-1] for side in (1, -1)]
     assert sides[0].z0[2] == pytest.approx(-sides[1].z0[2], rel=1e-6)
     assert abs(sides[0].z0[2]) > 0.01
     assert all(closure(orbit) < 1e-9 for orbit in sides)
@@ -117,9 +131,8 @@ def test_branches_lead_to_published_halo_orbits():
             pytest.fail("no side leads to the published orbit")
 
 
-def test_halo_orbit_is_found_without_its_symmetry():
-    family = lyapunov_orbit("L1").family(energy=-1.586)
-    orbit = family.branches[0].orbit
+def test_halo_orbit_is_found_without_its_symmetry(planar):
+    orbit = planar.branches[0].orbit
     plain = hamsym.periodic_orbit(orbit.H, (orbit.z0, orbit.period), energy=orbit.energy - 1e-4)
     family = plain.family(energy=-1.586)
     assert [found.kind for found in family.branches] == ["branching"]

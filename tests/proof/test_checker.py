@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import copy
 import dataclasses
+import functools
 import json
 import math
 import subprocess
@@ -343,6 +344,7 @@ EQUILIBRIA = (
 )
 
 
+@functools.cache
 def enclosed_equilibria(text):
     H = hamsym.Hamiltonian(text)
     box = dict.fromkeys(H.names, (-2, 2)) if H.dim == 2 else None

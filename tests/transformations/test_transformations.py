@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Callable
 from typing import Any
@@ -64,7 +65,13 @@ CASES: list[tuple[Hamiltonian, dict[str, Any], dict[str, Any], list[float]]] = [
 ]
 
 
-MARKED = [pytest.param(*case, marks=[pytest.mark.slow] * (k == 1)) for k, case in enumerate(CASES)]
+MARKED = [pytest.param(k, marks=[pytest.mark.slow] * (k == 1)) for k in range(len(CASES))]
+
+
+@functools.cache
+def transformed(case: int) -> Any:
+    H, formulas, options, _ = CASES[case]
+    return H.transformed(formulas, **options)
 
 
 def test_states_where_a_positive_variable_is_not_have_no_old_ones() -> None:
@@ -83,11 +90,9 @@ def test_states_where_a_positive_variable_is_not_have_no_old_ones() -> None:
             polar.to_old(states)
 
 
-@pytest.mark.parametrize(("H", "formulas", "options", "z0"), MARKED)
-def test_motion_is_the_same_on_both_sides(
-    H: Hamiltonian, formulas: dict[str, Any], options: dict[str, Any], z0: list[float]
-) -> None:
-    found = H.transformed(formulas, **options)
+@pytest.mark.parametrize("case", MARKED)
+def test_motion_is_the_same_on_both_sides(case: int) -> None:
+    (H, _, _, z0), found = CASES[case], transformed(case)
     start = found.to_new(z0)
     assert np.abs(found.to_old(start) - z0).max() < 1e-13
     times = np.linspace(0, 6, 40)
@@ -100,11 +105,9 @@ def test_motion_is_the_same_on_both_sides(
     assert np.abs(back - new(times)).max() < 1e-8
 
 
-@pytest.mark.parametrize(("H", "formulas", "options", "z0"), MARKED)
-def test_brackets_of_the_old_variables(
-    H: Hamiltonian, formulas: dict[str, Any], options: dict[str, Any], z0: list[float]
-) -> None:
-    found = H.transformed(formulas, **options)
+@pytest.mark.parametrize("case", MARKED)
+def test_brackets_of_the_old_variables(case: int) -> None:
+    (H, _, _, z0), found = CASES[case], transformed(case)
     known = found.formulas
     point = dict(zip(found.H.names, found.to_new(z0, 0.4).tolist(), strict=True))
     values = {sympy.Symbol(n, real=True): sympy.Float(v, 30) for n, v in point.items()}
@@ -119,11 +122,10 @@ def test_brackets_of_the_old_variables(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("H", "formulas", "options", "z0"), CASES)
-def test_motion_in_50_digits_on_both_sides(
-    H: Hamiltonian, formulas: dict[str, Any], options: dict[str, Any], z0: list[float]
-) -> None:
-    found, time = H.transformed(formulas, **options), sympy.Symbol("t", real=True)
+@pytest.mark.parametrize("case", range(len(CASES)))
+def test_motion_in_50_digits_on_both_sides(case: int) -> None:
+    (H, _, _, z0), found = CASES[case], transformed(case)
+    time = sympy.Symbol("t", real=True)
 
     def function(own: Hamiltonian, rows: list[sympy.Expr]) -> Callable[..., list[mpmath.mpf]]:
         form = own.real_equations
