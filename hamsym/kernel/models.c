@@ -494,7 +494,9 @@ static void power(const model_tables *t, const model *base, const model *exponen
   model found = *base, next;
   if (exponent->constant) {
     double n = exponent->low, size = fabs(n);
-    if (!(size <= 64.0) || 2 * n != floor(2 * n)) {
+    /* Many products lose digits; but only they take bases that are not positive. */
+    double most = base->low > 0.0 || n != floor(n) ? 64.0 : 0x1p20;
+    if (!(size <= most) || 2 * n != floor(2 * n)) {
       number_power(t, base, n, out);
       return;
     }

@@ -1,5 +1,6 @@
 #include "program.h"
 #include "functions.h"
+#include <math.h>
 #include <stdlib.h>
 
 long all_rows(const program *p) {
@@ -164,6 +165,24 @@ int can_shift(const machine *m) {
   return p->steps && memchr(m->rounding, STEADY, p->steps);
 }
 
+/* What rounding takes from the result of a step whose rows are the same number everywhere: `largest`, the most that it
+   can be, where an operation has no exact remainder. */
+static double remainder_of(enum operation operation, double x, double y, double found, double largest) {
+  double rest = largest;
+  if (operation == SUBTRACT) y = -y;
+  if (operation == ADD || operation == SUBTRACT) {
+    double added = found - x;
+    rest = (x - (found - added)) + (y - added);
+  } else if (operation == MULTIPLY) {
+    rest = fma(x, y, -found);
+  } else if (operation == RECIPROCAL) {
+    rest = fma(-x, found, 1.0) * found;
+  } else if (operation == ROOT && found > 0.0) {
+    rest = fma(-found, found, x) / (2 * found);
+  }
+  return fabs(rest) <= fabs(largest) ? rest : largest;
+}
+
 /* Run with changed results of the steps with these roundings. */
 static void run_changed(machine *m, const double *states, const double *times, long n, const double *signs,
                         double factor, enum rounding rounding, double *out) {
@@ -172,11 +191,15 @@ static void run_changed(machine *m, const double *states, const double *times, l
   for (long k = 0; k < p->steps; k++, signs += n) {
     const step *s = p->step + k;
     double *found = row[s->out];
+    double x = *row[s->first], y = *row[s->second]; /* of which `found` may be one */
     perform(s->operation, row[s->first], row[s->second], found, n);
-    for (long c = 0; c < n && m->rounding[k] == (char)rounding; c += 4) {
-      v4 sign = rounding == STEADY ? spread(*signs) : load(signs + c);
-      store(found + c, load(found + c) * (1.0 + factor * (EPS / 2) * sign));
+    if (m->rounding[k] != (char)rounding) continue;
+    if (rounding == STEADY) {
+      fill(found, *found + factor * remainder_of(s->operation, x, y, *found, EPS / 2 * *signs * *found), n);
+      continue;
     }
+    for (long c = 0; c < n; c += 4)
+      store(found + c, load(found + c) * (1.0 + factor * (EPS / 2) * load(signs + c)));
   }
 }
 

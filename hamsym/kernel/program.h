@@ -56,8 +56,9 @@ void run(machine *machine, const double *states, const double *times, long n, do
    signs for each step. */
 void run_disturbed(machine *machine, const double *states, const double *times, long n, const double *signs,
                    double factor, double *out);
-/* The same where what is alike at all places changes, `factor` times: numbers by what float64 lacks of them, and results
-   of operations on parameters and numbers alone, which run_disturbed leaves as they are. */
+/* The same where what is alike at all places changes, `factor` times: numbers, and results of operations on parameters
+   and numbers alone, which run_disturbed leaves as they are, by what float64 lacks of them. Exact ones, as n - 1 in an
+   exponent, stay: powers of negative numbers are real for whole exponents only. */
 void run_shifted(machine *machine, const double *states, const double *times, long n, const double *signs,
                  double factor, double *out);
 /* Whether that changes anything. */

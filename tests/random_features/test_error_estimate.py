@@ -309,6 +309,18 @@ def test_roundings_of_terms_that_cancel_are_in_the_estimate(
     assert (error <= solution.largest_error).all()
 
 
+@pytest.mark.parametrize("n", [2, 3, 100])
+def test_exponents_by_parameters_may_have_bases_of_both_signs(n: int) -> None:
+    """n - 1 is exact; another exponent would make powers of negative x complex."""
+    start, span = [0.5, 1.0], (0, 3)
+    H = Hamiltonian("p**2/2 + x**2 + x**n/n", parameters={"n": float(n)}, q=["x"], p=["p"])
+    solution = hamsym.solve(H, start, span)
+    assert solution.success, solution.message
+    other = hamsym.solve(f"p**2/2 + x**2 + x**{n}/{n}", start, span)
+    t = np.linspace(*span, 50)
+    np.testing.assert_allclose(solution(t), other(t), atol=2e-9 * solution.error.scale.max())
+
+
 # -- the origin of time ----------------------------------------------------------------------------
 
 
