@@ -233,9 +233,13 @@ def bounds_on_parts(
     return residual_bounds(programs, *places, np.sort(np.stack(ends, axis=1), axis=1), given)
 
 
-@functools.lru_cache(maxsize=64)
 def is_short_polynomial(form: Equations) -> bool:
     """Return whether the rates are polynomials of low degree, resolved wherever z^ is."""
+    return _is_short_polynomial(form.free)
+
+
+@functools.lru_cache(maxsize=64)
+def _is_short_polynomial(form: Equations) -> bool:
     variables = [*form.z, *([] if form.time is None else [form.time])]
     if not all(rate.is_polynomial(*variables) for rate in form.vector_field):
         return False

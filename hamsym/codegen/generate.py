@@ -90,6 +90,8 @@ _STEP_PARTS = {
 }
 _BALL_PARTS = {"third_derivatives": _Part(defines=("third_derivatives",))}
 _PARTS = _FUNCTION_PARTS | _STEP_PARTS | _BALL_PARTS
+# Backends of which each part has the values of parameters in one signature at most.
+_VALUES_IN_SIGNATURES = frozenset(("numpy", "torch"))
 _ONLY_SEPARABLE = frozenset(("compensation", "curvature", "splitting", "tangents"))
 _NOT_SEPARABLE = frozenset(("mixed_derivatives", "symplectic Euler"))
 # Parts that systems with forces lack.
@@ -159,12 +161,22 @@ class Source:
         if name not in self._parts:
             if name in _sections():
                 text = _sections()[name]
+            elif self.backend in _VALUES_IN_SIGNATURES and self._free is not None:
+                own, free = self.names.keywords, self._free.names.keywords
+                text = self._free.part(name).replace(free, own, 1)
             elif self.form.dof <= _MAX_UNCACHED_DOF:
                 text = self._rendered(name)
             else:
                 text = cached_text(f"{self._key}\n{name}", lambda: self._rendered(name))
             self._parts[name] = text
         return self._parts[name]
+
+    @cached_property
+    def _free(self) -> Source | None:
+        """The module without values of parameters, which is rendered once for all of them."""
+        if all(value is None for _, value in self.form.parameters.values()):
+            return None
+        return generate(self.form.free, self.backend)
 
     def _joined(self, names: Iterable[str]) -> str:
         chosen = {*names}
@@ -220,8 +232,7 @@ class _Page:
         self.values = names.parameters
         self.time = ", t" if names.time else ""
         self.at_time = "t" if names.time else "0.0"
-        given = [name if value is None else f"{name}={value!r}" for name, value in names.parameters]
-        self.keywords = ", *, " + ", ".join(given) if given else ""
+        self.keywords = names.keywords
         self.passed = self.time + "".join(f", {name}={name}" for name in self.parameters)
         comma = "," if len(self.parameters) == 1 else ""
         self.as_tuple = f"({', '.join(self.parameters)}{comma})"

@@ -28,6 +28,12 @@ class Names:
         self.derivatives = [self._unused("d" + name) for name in self.state]
         self.arithmetic = self._unused("a")  # the first argument of functions of balls
 
+    @property
+    def keywords(self) -> str:
+        """The parameters in a signature, with their values."""
+        given = [name if value is None else f"{name}={value!r}" for name, value in self.parameters]
+        return ", *, " + ", ".join(given) if given else ""
+
     def _claim(self, symbol: sympy.Symbol) -> str:
         name = canonical_name(symbol.name) if self._backend.spells_greek else symbol.name
         self.of[symbol] = self._unused(name)

@@ -35,26 +35,11 @@ def programs_of(form: Equations) -> Programs:
 
     Raise CodeGenerationError if the library lacks a function of a formula; the message names it.
     """
-    return _programs(_Formulas(form))
-
-
-class _Formulas:
-    """Formulas without the values of parameters, as a key."""
-
-    def __init__(self, form: Equations) -> None:
-        self.form = form
-        self._identity = form.expr, form.z, form.time, tuple(form.parameters), form.forces
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Formulas) and self._identity == other._identity
-
-    def __hash__(self) -> int:
-        return hash(self._identity)
+    return _programs(form.free)
 
 
 @functools.lru_cache(maxsize=64)
-def _programs(formulas: _Formulas) -> Programs:
-    form = formulas.form
+def _programs(form: Equations) -> Programs:
     dof, parameters = form.dof, [symbol for symbol, _ in form.parameters.values()]
     parts = {
         "velocity": form.slopes[dof:],

@@ -85,6 +85,11 @@ class Equations(Shown):
         """Return the same equations with other values of the parameters."""
         return Equations(self.expr, self.z, self.time, values, self.forces)
 
+    @cached_property
+    def free(self) -> Equations:
+        """The same equations without values of the parameters: equal for all values."""
+        return self.with_values(dict.fromkeys(self.parameters))
+
     def _new_effort(self) -> derivatives.Effort:
         return derivatives.Effort(
             sympy.Tuple(self.expr, *self.forces) if self.forces else self.expr

@@ -23,6 +23,7 @@ import sympy
 import torch
 
 from hamsym import Hamiltonian, InputError, integrate, solve
+from hamsym.codegen import generate
 from hamsym.codegen.backends import FUNCTIONS, PYTHON_NAMES
 from hamsym.codegen.generate import Source, _wrapped
 from hamsym.codegen.system import System
@@ -438,6 +439,15 @@ def test_source_is_the_executed_text(example: Problem, backend: str) -> None:
             getattr(system, name)
         ).rstrip("\n")
     assert example.H.compile(backend) is system
+
+
+@pytest.mark.parametrize("backend", ["numpy", "torch"])
+def test_values_in_signatures_are_those_that_were_rendered(
+    example: Problem, backend: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shared = Source(example.H.real_equations, backend).text
+    monkeypatch.setattr(generate, "_VALUES_IN_SIGNATURES", frozenset())
+    assert Source(example.H.real_equations, backend).text == shared
 
 
 @pytest.mark.slow_cases("nonlinear_oscillator-numba")
