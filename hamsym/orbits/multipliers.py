@@ -154,13 +154,14 @@ def multiplier_error(matrix: np.ndarray, other: np.ndarray, *, conservative: boo
         return math.inf
     values, right = np.linalg.eig(matrix)
     sizes, found = np.abs(values), 0.0
-    if conservative and not sizes.all():
+    judged = np.argsort(-sizes)[: len(sizes) // 2 if conservative else None]
+    # The inverse of a large eigenvalue is round-off in the matrix, and may be zero there.
+    if conservative and not sizes[judged].all():
         return math.inf
     round_off = _UNIT * np.linalg.norm(matrix)
     try:
         left = np.linalg.inv(right)
         change = left @ (other - matrix) @ right
-        judged = np.argsort(-sizes)[: len(sizes) // 2 if conservative else None]
         for k, size in zip(judged, sizes[judged], strict=True):
             ends = np.array([values[k], *([1 / values[k]] if conservative else [])])
             related = np.append(ends, np.conj(ends))
