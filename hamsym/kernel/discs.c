@@ -29,9 +29,9 @@ void trial_discs(const disc_tables *t, double *series, long dim, double start, d
 }
 
 static void multiply(const disc *a, const disc *b, disc *out) {
-  for (long d = 0; d < DISCS; d += 4) {
-    v4 x = load(a->middle + d), y = load(b->middle + d), r = load(a->radius + d), s = load(b->radius + d);
-    store(out->radius + d, size4(x) * s + size4(y) * r + r * s);
+  for (long d = 0; d < DISCS; d += LANES) {
+    vw x = load(a->middle + d), y = load(b->middle + d), r = load(a->radius + d), s = load(b->radius + d);
+    store(out->radius + d, magnitudes(x) * s + magnitudes(y) * r + r * s);
     store(out->middle + d, x * y);
   }
 }
@@ -179,9 +179,10 @@ void run_discs(const program *p, const double *parameters, disc *row, double *bo
   for (const step *s = p->step, *end = s + p->steps; s < end; s++)
     perform(s->operation, row + s->first, row + s->second, row + s->out);
   for (long k = 0; k < p->results; k++, own++) {
-    v4 most = spread(0.0);
-    for (long d = 0; d < DISCS; d += 4) most = larger4(size4(size4(load(own->middle + d)) + load(own->radius + d)), most);
-    bounds[k] = largest4(most);
+    vw most = {0.0};
+    for (long d = 0; d < DISCS; d += LANES)
+      most = larger_lanes(magnitudes(magnitudes(load(own->middle + d)) + load(own->radius + d)), most);
+    bounds[k] = largest_lane(most);
   }
 }
 

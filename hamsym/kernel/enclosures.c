@@ -253,9 +253,10 @@ EXPORTED int64_t hamsym_lemma(const lemma *s, double *tube, double *d, double *d
 
 /* Some rows of a product with TOGETHER columns, k x TOGETHER. */
 INLINE void multiply_rows(const double *a, const double *columns, int height, long k, double *out, long stride) {
-  v4 sums[8];
-  add_up(columns, k, TOGETHER, a, height, 2, sums);
-  for (int i = 0; i < height; i++) store(out + i * stride, sums[2 * i]), store(out + i * stride + 4, sums[2 * i + 1]);
+  int width = TOGETHER / LANES;
+  vw sums[TOGETHER];
+  add_up(columns, k, TOGETHER, a, height, width, sums);
+  for (int j = 0; j < height * width; j++) store(out + j / width * stride + j % width * LANES, sums[j]);
 }
 
 /* The product of matrices, n x k and k x m; every sum has the same order everywhere. */
@@ -265,7 +266,7 @@ EXPORTED void hamsym_product(const double *a, const double *b, int64_t n, int64_
   for (; c + TOGETHER <= m; c += TOGETHER) {
     for (long j = 0; j < k; j++) memcpy(columns + j * TOGETHER, b + j * m + c, TOGETHER * sizeof *b);
     long i = 0;
-    for (; i + 4 <= n; i += 4) multiply_rows(a + i * k, columns, 4, k, out + i * m + c, m);
+    for (; i + LANES <= n; i += LANES) multiply_rows(a + i * k, columns, LANES, k, out + i * m + c, m);
     for (; i < n; i++) multiply_rows(a + i * k, columns, 1, k, out + i * m + c, m);
   }
   for (long i = 0; i < n; i++)

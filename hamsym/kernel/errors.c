@@ -24,7 +24,7 @@ void lay_out_errors(carrying *m, arena *arena, const equations *H, const error_t
   take_machine(arena, &m->hessian, H->hessian, m->stride);
   m->shifted = arena->memory && (can_shift(&m->velocity) || can_shift(&m->force));
   m->terms = (term *)take(arena, 4 * a->terms + 1);
-  m->changes = (v4 *)take(arena, 4 * rows);
+  m->changes = (vw *)take(arena, LANES * rows);
   m->second = take(arena, H->hessian->results * nodes + 1);
   m->readout = take(arena, dim * t->columns);
   m->curvature = take(arena, H->hessian->results * places + 1);
@@ -52,12 +52,12 @@ void lay_out_errors(carrying *m, arena *arena, const equations *H, const error_t
 /* Sums of terms of one row and source rows, for all vectors, of which there are `each`, a constant. */
 INLINE void apply_terms(const term *first, const term *end, const double *second, const double *vectors, long n,
                         long each, double *out) {
-  for (long c = 0; c < n; c += 4) {
-    v4 sums[EACH_MOST];
-    for (long k = 0; k < each; k++) sums[k] = spread(0.0);
+  for (long c = 0; c < n; c += LANES) {
+    vw sums[EACH_MOST];
+    for (long k = 0; k < each; k++) sums[k] = (vw){0.0};
     for (const term *one = first; one < end; one++) {
       const double *source = vectors + one->source * each * n + c;
-      v4 weight = spread(one->factor) * load(second + one->entry * n + c);
+      vw weight = one->factor * load(second + one->entry * n + c);
       for (long k = 0; k < each; k++) sums[k] += weight * load(source + k * n);
     }
     for (long k = 0; k < each; k++) store(out + k * n + c, sums[k]);
@@ -386,13 +386,13 @@ static int inside(carrying *m, const equations *H, const error_tables *t, const 
   products(t->dense, count, count, m->found, dim, m->shown);
   for (long i = 0; i < dim; i++) {
     const double *vectors = m->vectors + i * m->each * n;
-    v4 most = spread(0.0);
-    for (long c = 0; c < n; c += 4) {
-      v4 total = spread(0.0);
+    vw most = {0.0};
+    for (long c = 0; c < n; c += LANES) {
+      vw total = {0.0};
       for (long j = 1; j <= t->perturbations; j++) total += load(vectors + j * n + c) * load(vectors + j * n + c);
-      most = larger4(size4(total), most);
+      most = larger_lanes(total, most);
     }
-    double largest = largest4(most), last = row_size(vectors + (m->each - 1) * n, n);
+    double largest = largest_lane(most), last = row_size(vectors + (m->each - 1) * n, n);
     /* Some standard deviations, at worst in the window, and the rounding of z^ itself. */
     double floor = t->deviations * __builtin_sqrt(largest / t->perturbations) + MISSED * last;
     floor = s->scale[i] * floor + EPS / 2 * m->tops[i];

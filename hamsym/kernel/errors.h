@@ -78,7 +78,7 @@ typedef struct {
   int shifted;       /* whether there are roundings that are alike in all windows */
   machine velocity, force, hessian;
   term *terms;           /* in units of the scale */
-  v4 *changes;
+  vw *changes;
   double *readout, *times, *late, *z, *dz, *low, *rates, *disturbed, *pushed, *at_nodes, *node_times, *drift;
   double *smooth, *drift_inside, *found, *coefficients, *shown, *bent, *steady, *steady_pushed, *second, *curvature;
   double *base, *drifted, *vectors, *moved, *last, *before, *weight, *speeds, *tops;

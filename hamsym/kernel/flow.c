@@ -5,7 +5,7 @@
 
 #define TILE 4 /* terms of a product that are computed together */
 
-/* Add factor a b to sums, and the roundings to errors, with four columns in a vector. `wide` is b with terms b_-k = b_k,
+/* Add factor a b to sums, and the roundings to errors, with LANES columns in a vector. `wide` is b with terms b_-k = b_k,
    b_0 doubled and zeros behind its end. Each product is rounded by at most UNIT times what is returned and HALVING,
    times the size of b, before the factor. */
 INLINE double add_product(double factor, const double *a, long na, const double *wide, long nb, int vectors,
@@ -13,28 +13,25 @@ INLINE double add_product(double factor, const double *a, long na, const double 
   double size = 0.0;
   for (long i = 0; i < na; i++) size += (PER_PRODUCT + PER_SUM * (i + 1)) * fabs(a[i]);
   for (long m = 0; m < na + nb - 1; m += TILE) {
-    v4 found[2 * TILE];
-    for (int t = 0; t < 2 * TILE; t++) found[t] = spread(0.0);
+    vw found[TILE * TOGETHER / LANES];
+    for (int t = 0; t < TILE * vectors; t++) found[t] = (vw){0.0};
     /* There are terms b_m-i from i = last on, and terms b_m+i below i = both. */
     long last = m < nb ? 0 : m - nb + 1, both = nb - m < na ? nb - m : na, i = na - 1;
     for (; i >= last && i >= both; i--)
-      for (int t = 0; t < TILE; t++)
-        for (int v = 0; v < vectors; v++)
-          found[2 * t + v] += spread(0.5 * a[i]) * load(wide + (m + t - i) * TOGETHER + 4 * v);
+      for (int t = 0; t < TILE * vectors; t++)
+        found[t] += 0.5 * a[i] * load(wide + (m + t / vectors - i) * TOGETHER + t % vectors * LANES);
     for (; i >= last; i--)
-      for (int t = 0; t < TILE; t++)
-        for (int v = 0; v < vectors; v++) {
-          v4 one = load(wide + (m + t - i) * TOGETHER + 4 * v), other = load(wide + (m + t + i) * TOGETHER + 4 * v);
-          found[2 * t + v] += spread(0.5 * a[i]) * (one + other);
-        }
-    if (m == 0) found[0] *= spread(0.5), found[1] *= spread(0.5);
-    for (int t = 0; t < TILE; t++)
-      for (int v = 0; v < vectors; v++) {
-        double *sum = sums + (m + t) * TOGETHER + 4 * v, *error = errors + 4 * v;
-        v4 p = spread(factor) * found[2 * t + v], total = load(sum) + p;
-        store(sum, total);
-        store(error, load(error) + spread(UNIT) * (size4(p) + size4(total)));
+      for (int t = 0; t < TILE * vectors; t++) {
+        const double *behind = wide + (m + t / vectors) * TOGETHER + t % vectors * LANES;
+        found[t] += 0.5 * a[i] * (load(behind - i * TOGETHER) + load(behind + i * TOGETHER));
       }
+    for (int v = 0; v < vectors && m == 0; v++) found[v] *= 0.5;
+    for (int t = 0; t < TILE * vectors; t++) {
+      double *sum = sums + (m + t / vectors) * TOGETHER + t % vectors * LANES, *error = errors + t % vectors * LANES;
+      vw p = factor * found[t], total = load(sum) + p;
+      store(sum, total);
+      store(error, load(error) + UNIT * (magnitudes(p) + magnitudes(total)));
+    }
   }
   return size;
 }
@@ -115,8 +112,8 @@ EXPORTED int64_t hamsym_flow_defects(const lemma *s, double *defect, double *sta
           memcpy(wide - k * TOGETHER, term, TOGETHER * sizeof *term);
         }
         for (int c = 0; c < TOGETHER; c++) wide[c] *= 2;
-        double size = used > 4 ? add_product(factor, a, n, wide, terms, 2, sums, errors)
-                               : add_product(factor, a, n, wide, terms, 1, sums, errors);
+        double size = used > LANES ? add_product(factor, a, n, wide, terms, TOGETHER / LANES, sums, errors)
+                                   : add_product(factor, a, n, wide, terms, 1, sums, errors);
         for (long c = 0; c < used; c++) {
           double other = s->sizes[j * columns + begin + c];
           errors[c] += (1 + GUARD) * s->half * up(UNIT * size * other + HALVING * other);

@@ -45,7 +45,7 @@ void lay_out_march(marching *m, arena *arena, const equations *H, const tables *
   m->stride = nodes > between ? nodes : between;
   take_machine(arena, &m->velocity, H->velocity, m->stride);
   take_machine(arena, &m->force, H->force, m->stride);
-  m->changes = (v4 *)take(arena, 4 * dim);
+  m->changes = (vw *)take(arena, LANES * dim);
   m->times = take(arena, nodes);
   m->basis = take(arena, t->terms * nodes);
   m->base = take(arena, dim * nodes);
@@ -195,7 +195,7 @@ static int iterate(marching *m, const equations *H, const tables *t, const setti
       int settled = 1;
       for (long i = 0; i < (H->linear ? half : dim); i++) {
         double allowed = m->noise[i] + enough * m->scale[i];
-        settled = settled && largest4(m->changes[i]) <= allowed;
+        settled = settled && largest_lane(m->changes[i]) <= allowed;
       }
       if (settled) return iteration;
     }

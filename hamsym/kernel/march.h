@@ -58,7 +58,7 @@ typedef struct {
 typedef struct {
   long stride;
   machine velocity, force;
-  v4 *changes;
+  vw *changes;
   double *times, *basis, *base, *drifted, *nearby, *readout, *late, *middle, *flow, *residual, *disturbed;
   double *scale, *weight, *sizes, *defects, *speeds, *noise;
   double beyond; /* largest residual of the last window beyond its round-off, in units of the allowed one */

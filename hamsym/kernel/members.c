@@ -46,16 +46,16 @@ typedef struct {
 } members;
 
 /* Four numbers, or the last two of an even number of them. */
-INLINE v4 load_some(const double *p, long left) { return left < 4 ? (v4){p[0], p[1]} : load(p); }
+INLINE v4 load_some(const double *p, long left) { return left < 4 ? (v4){p[0], p[1]} : load4(p); }
 
 /* The rounding of the state at each joint, with twice the digits. */
 static void joint_errors(const windows *w, const tables *t, long dim, long count, double *out) {
   for (long k = 0; k < count; k++)
     for (long i = 0; i < dim; i += 4) {
       long left = dim - i;
-      v4 total = load_some(w->state + k * dim + i, left), rest = spread(0.0);
+      v4 total = load_some(w->state + k * dim + i, left), rest = spread4(0.0);
       for (long m = 0; m < w->readout; m++) {
-        v4 a = load_some(w->coefficient + (k * w->readout + m) * dim + i, left), b = spread(t->end[m]), product = a * b;
+        v4 a = load_some(w->coefficient + (k * w->readout + m) * dim + i, left), b = spread4(t->end[m]), product = a * b;
         /* The rounding error of the product (Dekker), and of the sum (Knuth). */
         v4 c = SPLITTER * a, high_a = c - (c - a), low_a = a - high_a;
         c = SPLITTER * b;
@@ -63,7 +63,7 @@ static void joint_errors(const windows *w, const tables *t, long dim, long count
         v4 lost = low_a * low_b - (((product - high_a * high_b) - low_a * high_b) - high_a * low_b);
         v4 added = total + product, part = added - total;
         rest += (total - (added - part)) + (product - part) + lost;
-        rest += a * spread(t->end_low[m]);
+        rest += a * spread4(t->end_low[m]);
         total = added;
       }
       v4 found = (total - load_some(w->state + (k + 1) * dim + i, left)) + rest;

@@ -41,32 +41,31 @@ INLINE v4 reversed(v4 x) { return (v4){x[3], x[2], x[1], x[0]}; }
 
 INLINE void fold(const double *value, double number, double *out) {
   for (int c = 0; c < HIGH; c += 4) {
-    v4 one = load(value + c) - number, other = reversed(load(value + PLACES - 4 - c)) - number;
-    store(out + c, one + other);
-    store(out + HIGH + c, one - other);
+    v4 one = load4(value + c) - number, other = reversed(load4(value + PLACES - 4 - c)) - number;
+    store4(out + c, one + other);
+    store4(out + HIGH + c, one - other);
   }
 }
 
 INLINE void unfold(const double *even, const double *odd, double *value) {
   for (int c = 0; c < HIGH; c += 4) {
-    store(value + c, load(even + c) + load(odd + c));
-    store(value + PLACES - 4 - c, reversed(load(even + c) - load(odd + c)));
+    store4(value + c, load4(even + c) + load4(odd + c));
+    store4(value + PLACES - 4 - c, reversed(load4(even + c) - load4(odd + c)));
   }
 }
 
 /* Products of both parts and tables from n numbers each to k. */
 INLINE void apply_parts(const double *table, long n, long k, const double *parts, double *out) {
   for (long column = 0; column < k; column += 16) {
-    v4 sums[8];
-    for (int j = 0; j < 8; j++) sums[j] = spread(0.0);
-    for (long m = 0; m < n; m++) {
-      v4 even = spread(parts[m]), odd = spread(parts[n + m]);
-      const double *row = table + m * k + column;
-      for (int j = 0; j < 4; j++) sums[j] += even * load(row + 4 * j);
-      for (int j = 0; j < 4; j++) sums[4 + j] += odd * load(row + n * k + 4 * j);
-    }
-    for (int j = 0; j < 4; j++) store(out + column + 4 * j, sums[j]);
-    for (int j = 0; j < 4; j++) store(out + k + column + 4 * j, sums[4 + j]);
+    vw even[16 / LANES] = {{0.0}}, odd[16 / LANES] = {{0.0}};
+    for (long m = 0; m < n; m++)
+      for (int j = 0; j < 16 / LANES; j++) {
+        const double *row = table + m * k + column + LANES * j;
+        even[j] += parts[m] * load(row);
+        odd[j] += parts[n + m] * load(row + n * k);
+      }
+    memcpy(out + column, even, sizeof even);
+    memcpy(out + k + column, odd, sizeof odd);
   }
 }
 

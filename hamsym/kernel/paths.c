@@ -41,8 +41,8 @@ static long window_series(const paths *p, const double *readout, int slopes, dou
   products(p->series, p->columns, terms, rows, dim, series);
   for (long i = 0; i < dim; i++) {
     const double *own = series + i * terms;
-    v4 sums = spread(0.0);
-    for (long k = 0; k < terms; k += 4) sums += size4(load(own + k));
+    v4 sums = spread4(0.0);
+    for (long k = 0; k < terms; k += 4) sums += size4(load4(own + k));
     double most = CUT * ((sums[0] + sums[1]) + (sums[2] + sums[3]));
     long last = terms;
     while (last > used && last * last * fabs(own[last - 1]) <= most) last--;

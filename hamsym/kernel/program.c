@@ -73,25 +73,24 @@ void set_parameters(machine *m, const double *parameters, long stride) {
   for (long k = 0; k < m->program->parameters; k++) fill(m->row[m->program->dim + 1 + k], parameters[k], stride);
 }
 
-INLINE v4 sign4(v4 x) {
-  v4 one = spread(1.0), zero = spread(0.0);
-  v4 found = choose(x > zero, one, choose(x < zero, -one, zero));
-  return choose(x != x, x, found);
+INLINE vw signs_of(vw x) {
+  vw found = choose((iw)(x > 0.0), spread(1.0), choose((iw)(x < 0.0), spread(-1.0), spread(0.0)));
+  return choose((iw)(x != x), x, found);
 }
 
-/* Every operation is a loop of its own over a row, which compilers turn into vector instructions. */
+INLINE vw roots(vw x) {
+  for (int k = 0; k < LANES; k++) x[k] = __builtin_sqrt(x[k]);
+  return x;
+}
+
+/* Every operation is a loop of its own over a row. */
 #define EACH(expression) \
-  for (long c = 0; c < n; c += 8) \
-    for (long d = c; d < c + 8; d += 4) { \
-      v4 x = load(a + d), y = load(b + d); \
-      (void)y; \
-      store(out + d, expression); \
-    } \
+  for (long c = 0; c < n; c += LANES) { \
+    vw x = load(a + c), y = load(b + c); \
+    (void)y; \
+    store(out + c, expression); \
+  } \
   break
-
-static inline v4 root4(v4 x) {
-  return (v4){__builtin_sqrt(x[0]), __builtin_sqrt(x[1]), __builtin_sqrt(x[2]), __builtin_sqrt(x[3])};
-}
 
 INLINE void perform(enum operation operation, const double *a, const double *b, double *out, long n) {
   switch (operation) {
@@ -101,12 +100,12 @@ INLINE void perform(enum operation operation, const double *a, const double *b, 
     case SUBTRACT: EACH(x - y);
     case MULTIPLY: EACH(x * y);
     case RECIPROCAL: EACH(1.0 / x);
-    case ROOT: EACH(root4(x));
-    case MAGNITUDE: EACH(size4(x));
-    case SIGN: EACH(sign4(x));
+    case ROOT: EACH(roots(x));
+    case MAGNITUDE: EACH(magnitudes(x));
+    case SIGN: EACH(signs_of(x));
     /* Of a number and NaN the result is NaN. */
-    case LEAST: EACH(choose((x < y) | (x != x), x, y));
-    case MOST: EACH(choose((x > y) | (x != x), x, y));
+    case LEAST: EACH(choose((iw)(x < y) | (iw)(x != x), x, y));
+    case MOST: EACH(choose((iw)(x > y) | (iw)(x != x), x, y));
     case SIN: hamsym_sin(a, out, n); break;
     case COS: hamsym_cos(a, out, n); break;
     case TAN: hamsym_tan(a, out, n); break;
@@ -198,7 +197,7 @@ static void run_changed(machine *m, const double *states, const double *times, l
       fill(found, *found + factor * remainder_of(s->operation, x, y, *found, EPS / 2 * *signs * *found), n);
       continue;
     }
-    for (long c = 0; c < n; c += 4)
+    for (long c = 0; c < n; c += LANES)
       store(found + c, load(found + c) * (1.0 + factor * (EPS / 2) * load(signs + c)));
   }
 }

@@ -10,16 +10,14 @@
 void apply_table(const double *table, const double *vector, long count, long n, double *out) {
   long k = 0;
   for (; k + 16 <= n; k += 16) {
-    v4 sums[4] = {{0.0}, {0.0}, {0.0}, {0.0}};
-    for (long j = 0; j < count; j++)
-      for (int c = 0; c < 4; c++) sums[c] += spread(vector[j]) * load(table + j * n + k + 4 * c);
-    for (int c = 0; c < 4; c++) store(out + k + 4 * c, sums[c]);
+    vw sums[16 / LANES];
+    add_up(table + k, count, n, vector, 1, 16 / LANES, sums);
+    memcpy(out + k, sums, sizeof sums);
   }
   for (; k + 8 <= n; k += 8) {
-    v4 sums[2] = {{0.0}, {0.0}};
-    for (long j = 0; j < count; j++)
-      for (int c = 0; c < 2; c++) sums[c] += spread(vector[j]) * load(table + j * n + k + 4 * c);
-    for (int c = 0; c < 2; c++) store(out + k + 4 * c, sums[c]);
+    vw sums[8 / LANES];
+    add_up(table + k, count, n, vector, 1, 8 / LANES, sums);
+    memcpy(out + k, sums, sizeof sums);
   }
   for (; k < n; k++) {
     double sum = 0.0;

@@ -61,21 +61,21 @@ INLINE void move_columns(const motion_of_tangents *m, long first, long orders, i
       }
       const double *b = m->V + j * stride + n * width;
       v4 sums[MOST_VECTORS];
-      for (int v = 0; v < vectors; v++) sums[v] = load(out + 4 * v);
+      for (int v = 0; v < vectors; v++) sums[v] = load4(out + 4 * v);
       for (long k = 0; k < length; k++, b -= width)
-        for (int v = 0; v < vectors; v++) sums[v] += spread(a[k]) * load(b + 4 * v);
-      for (int v = 0; v < vectors; v++) store(out + 4 * v, sums[v]);
+        for (int v = 0; v < vectors; v++) sums[v] += spread4(a[k]) * load4(b + 4 * v);
+      for (int v = 0; v < vectors; v++) store4(out + 4 * v, sums[v]);
     }
     for (long i = 0; i < m->dim; i++)
       for (int v = 0; v < vectors; v++)
-        store(m->V + i * stride + (n + 1) * width + 4 * v, load(m->rates + i * width + 4 * v) / (double)(n + 1));
+        store4(m->V + i * stride + (n + 1) * width + 4 * v, load4(m->rates + i * width + 4 * v) / (double)(n + 1));
   }
   for (long i = 0; i < m->dim; i++)
     for (int v = 0; v < vectors; v++) {
       double *own = m->V + i * stride + 4 * v;
-      v4 total = load(own + (orders - 1) * width);
-      for (long n = orders - 2; n >= 0; n--) total += load(own + n * width);
-      store(own, total);
+      v4 total = load4(own + (orders - 1) * width);
+      for (long n = orders - 2; n >= 0; n--) total += load4(own + n * width);
+      store4(own, total);
     }
 }
 
