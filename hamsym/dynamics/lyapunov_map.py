@@ -26,7 +26,6 @@ from hamsym.dynamics.growth import (
     first_vectors,
     growth_limit,
     orthonormal,
-    tangent_scales,
 )
 from hamsym.dynamics.passed_features import first_passed
 from hamsym.hamiltonian import Hamiltonian
@@ -35,6 +34,7 @@ from hamsym.integrators.hidden_features import passed_over
 from hamsym.integrators.step_scales import fastest_rates
 from hamsym.integrators.stepper import Stepper
 from hamsym.integrators.table import resolved_angle, too_fast
+from hamsym.numerics.scales import tangent_scales
 from hamsym.parallel.threads import Threads
 from hamsym.problems.ensemble import Ensemble
 from hamsym.problems.problem import MAX_STEPS

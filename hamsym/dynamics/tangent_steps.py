@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hamsym.dynamics.growth import STEPS_PER_RADIAN, UNRESOLVED, tangent_scales
+from hamsym.dynamics.growth import STEPS_PER_RADIAN, UNRESOLVED
 from hamsym.dynamics.passed_features import first_passed
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
@@ -23,6 +23,7 @@ from hamsym.integrators.hidden_features import passed_over
 from hamsym.integrators.step_scales import fastest_rates
 from hamsym.integrators.stepper import Stepper
 from hamsym.integrators.table import resolved_angle, too_fast
+from hamsym.numerics.scales import tangent_scales
 from hamsym.problems.ensemble import ensemble_of
 from hamsym.problems.problem import checked_steps
 
@@ -48,7 +49,7 @@ class TangentSteps:
     rate: float
     #: Whether the steps follow from the rate, not from the user.
     chosen: bool
-    #: Units of tangent vectors, by :func:`hamsym.dynamics.growth.tangent_scales`, shape (dim, 1).
+    #: Units of tangent vectors, by :func:`hamsym.numerics.scales.tangent_scales`, shape (dim, 1).
     scales: np.ndarray = field(repr=False)
 
     @classmethod

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy.linalg
 
 #: Smallest size of a component, as a share of its coupled size: smaller values cannot be
 #: distinguished from the round-off of the terms in its own equation.
 SMALLEST = 1e-8
+#: Ratio of the units of tangent vectors up to which all of them are 1.
+_ALIKE = 1e3
 _AT_ONCE = 8  # steps between couplings before it is asked whether sizes still change
 
 
@@ -90,6 +93,37 @@ def resolved_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.n
     array([2.e+00, 6.e-08])
     """
     return np.asarray(np.maximum(sizes, smallest_sizes(sizes, coupling, time)))
+
+
+def tangent_scales(jacobians: np.ndarray) -> np.ndarray:
+    """Return the units in which the components of tangent vectors are of one size, shape (dim,).
+
+    In others, float64 can neither keep vectors orthonormal nor choose pivots, if components differ
+    by many powers of ten, as metres and kg m/s of an electron do. The units are powers of two that
+    balance the sum of matrices along a trajectory (Parlett & Reinsch 1969, by LAPACK); they are 1
+    where they would differ by less than a factor of 1,000.
+
+    - jacobians: J Hess, shape (..., dim, dim); those that are not finite are left out.
+
+    Examples
+    --------
+    >>> units = tangent_scales(np.array([[0.0, 2.0**60], [-(2.0**-60), 0.0]]))
+    >>> float(units[0] / units[1]) == 2.0**60
+    True
+    >>> tangent_scales(np.array([[0.0, 1.0], [-4.0, 0.0]]))
+    array([1., 1.])
+    """
+    dim = jacobians.shape[-1]
+    matrices = np.abs(jacobians.reshape(-1, dim, dim))
+    total = matrices[np.isfinite(matrices).all(axis=(-1, -2))].sum(axis=0)
+    if not np.isfinite(total).all():
+        return np.ones(dim)
+    with np.errstate(invalid="ignore"):  # scipy casts large scales to integers it does not use
+        _, (scales, _) = scipy.linalg.matrix_balance(total, permute=False, separate=True)
+    usable = np.isfinite(scales).all() and (scales > 0).all()
+    if not usable or scales.max() < _ALIKE * scales.min():
+        return np.ones(dim)
+    return np.asarray(scales)
 
 
 def floored_sizes(sizes: np.ndarray, share: float) -> np.ndarray:

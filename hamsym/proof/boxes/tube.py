@@ -21,6 +21,7 @@ import sympy
 
 from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.numerics.scales import tangent_scales
 from hamsym.proof.arithmetic.balls import ball, working
 from hamsym.proof.arithmetic.directed import sum_up
 from hamsym.proof.arithmetic.functions import SingularityError
@@ -288,6 +289,8 @@ class Stepper:
                 if entry is not None:
                     A[..., i, j] = nodes.values(entry.coefficients)
         A = np.where(np.isfinite(A), A, 0.0)
+        units = tangent_scales(A)[:, None]
+        A, matrices = A * (units.T / units), matrices / units
         D = nodes.rates
         system = np.broadcast_to(
             np.kron(D[1:, 1:], np.eye(dim)), (cells, nodes.count, times * dim, times * dim)
@@ -299,7 +302,7 @@ class Stepper:
             cells, nodes.count, times * dim, dim
         )
         found = np.linalg.solve(system, right).reshape(cells, nodes.count, times, dim, dim)
-        return np.concatenate((matrices[:, :, None], found), axis=2)
+        return np.concatenate((matrices[:, :, None], found), axis=2) * units
 
 
 def kept_bound(
