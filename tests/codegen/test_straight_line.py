@@ -233,6 +233,13 @@ def test_names_of_the_user_do_not_collide(formula: str, parameters: dict[str, fl
     assert rate == [arb(5), arb(-6)]
 
 
+def test_names_that_collide_twice_differ() -> None:
+    # z is reserved, and z_ is the coordinate
+    H = Hamiltonian("p**2/2 + z*z_**2", q=["z_"], p=["p"], parameters={"z": 2.0})
+    names = Names(H.real_equations)
+    assert len({*names.state, *(name for name, _ in names.parameters)}) == 3
+
+
 def test_constant_results_are_numbers_of_the_arithmetic() -> None:
     text = Hamiltonian("p + 2*x").source("balls", "vector_field")
     assert "return [a.number(1), a.number(-2)]" in text
