@@ -28,6 +28,7 @@ from hamsym.flow_maps.narrow_places import narrow_places
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.collocation import collocation
 from hamsym.numerics.linear_systems import solved
+from hamsym.numerics.scales import tangent_scales
 from hamsym.numerics.symplectic import poisson_matrix
 from hamsym.support.record_fields import AnyFloat, Count, floats
 
@@ -215,8 +216,11 @@ def linear_error(
             last = _continued(map, inputs, high, -length)
             if before is not None:
                 delta = delta + before - first
-            residual = residual.reshape(count, _NODES, dim)
-            matrices = matrices.reshape(count, _NODES, dim, dim)
+            # LU decompositions compare entries, of all components.
+            units = tangent_scales(matrices)
+            residual = (residual / units).reshape(count, _NODES, dim)
+            matrices = (matrices * units / units[:, None]).reshape(count, _NODES, dim, dim)
+            delta = delta / units
             # rate = A (delta + length I rate) - r at the nodes.
             coupling = length * np.einsum("ab,naij->naibj", table.integration[:_NODES], matrices)
             system_matrix = np.eye(_NODES * dim) - coupling.reshape(count, _NODES * dim, -1)
@@ -226,6 +230,7 @@ def linear_error(
             slopes = solved(system_matrix, forced.reshape(count, -1, 1))
         rate = slopes.reshape(count, _NODES, dim)
         path = delta[:, None] + length * np.einsum("ab,nbi->nai", table.integration, rate)
+        path = path * units
         delta, before = path[:, -1], last
         largest = np.maximum(largest, np.abs(path).max(axis=(0, 1)))
     return largest

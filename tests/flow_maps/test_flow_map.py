@@ -179,6 +179,14 @@ def test_linear_equation_estimates_the_error(oscillator: FlowMap) -> None:
     np.testing.assert_allclose(found, np.abs(true).max(axis=(0, 1)), rtol=0.1)
 
 
+def test_estimate_is_the_same_in_unequal_units(oscillator: FlowMap) -> None:
+    unit = 2.0**-73
+    H = hamsym.Hamiltonian("b*((p/b)**2/2 + x**2/2 + x**4/4)", parameters={"b": unit})
+    box = {"x": (1.0, 1.6), "p": (0.7 * unit, 1.3 * unit)}
+    found = flow_map(H, box, (0, 4), tol=1e-7, points=300)
+    assert found.largest_error / (1.0, unit) == pytest.approx(oscillator.largest_error, rel=0.01)
+
+
 @pytest.mark.slow
 def test_box_is_split_where_degrees_are_large(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(legs, "_LARGEST", 130)
