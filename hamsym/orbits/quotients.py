@@ -9,6 +9,7 @@ motion: in others a product of many balls becomes wide.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -129,16 +130,12 @@ class Directions:
 
     def at(self, places: Sequence[list[arb]], units: list[arb]) -> list[_Across]:
         """Slopes and fields at balls of states, in units of the components."""
-        own = arb_mat(
-            [[unit if i == k else 0 for k in range(len(units))] for i, unit in enumerate(units)]
-        )
-        found = []
+        inverses, found = [1 / unit for unit in units], []
         for state in places:
-            slopes = gradients(self._integrals, state)
+            slopes = gradients(self._integrals, state).tolist()
             flows = [list(each("vector_field", state, arb(0))) for each in self._flows]
-            fields = _neutral_fields(slopes.tolist(), flows, self._free)
-            columns = arb_mat(fields).transpose() if fields else arb_mat(len(state), 0)
-            found.append((slopes * own, own.inv() * columns))
+            fields = _neutral_fields(slopes, flows, self._free)
+            found.append((_in_units(slopes, units), _in_units(fields, inverses).transpose()))
         return found
 
 
@@ -222,6 +219,19 @@ def _neutral_fields(
             [sum((w * f for w, f in zip(weights, c, strict=True)), arb(0)) for c in columns]
         )
     return found
+
+
+def _in_units(rows: list[list[Any]], units: list[arb]) -> arb_mat:
+    """Rows times units, each divided by about its size: that of H is an energy, that of another
+    integral is not, and ranks compare them.
+    """
+    entries = []
+    for row in rows:
+        found = [entry * unit for entry, unit in zip(row, units, strict=True)]
+        size = max(abs(float(entry.mid())) for entry in found)
+        exponent = math.frexp(size)[1] if math.isfinite(size) else 0
+        entries += [entry / arb(2) ** exponent for entry in found]
+    return arb_mat(len(rows), len(units), entries)
 
 
 def _middles(matrix: Any) -> np.ndarray:

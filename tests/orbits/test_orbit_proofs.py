@@ -216,6 +216,13 @@ def test_forced_oscillator_is_proven_in_any_units(mass, force):
     assert certificate.bound < 1e-14
 
 
+@pytest.mark.parametrize("unit", [2.0**-60, 2.0**60])
+def test_units_of_actions_do_not_leave_stability_undecided(unit):
+    H = hamsym.Hamiltonian("p**2/(2*c) - c*cos(x)", parameters={"c": unit})
+    certificate = hamsym.periodic_orbit(H, ([1.0, 0.0], 6.7)).certify()
+    assert certificate.stability == "parabolic"
+
+
 def test_linear_forced_oscillator_has_its_exact_orbit():
     # x'' = -x + cos(2 t): x = -cos(2 t)/3
     orbit = hamsym.periodic_orbit("p**2/2 + x**2/2 - x*cos(2*t)", [-0.3, 0.1], period="pi")
