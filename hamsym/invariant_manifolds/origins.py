@@ -25,7 +25,7 @@ from hamsym.invariant_manifolds.parameterization import (
     error_behind,
     parameterized,
 )
-from hamsym.numerics.scales import coupled_sizes, floored_sizes
+from hamsym.numerics.scales import coupled_sizes
 from hamsym.numerics.symplectic import symplectic_inverse
 from hamsym.orbits.orbit import PeriodicOrbit
 from hamsym.symbolic.derivatives import connected_blocks
@@ -37,7 +37,7 @@ _GROWTH = 2.0  # least multiplier of the map, which takes as many periods as tha
 _NONLINEAR = 0.3  # share of the linear force that others reach at the radius of an equilibrium
 _DOUBLINGS = 200  # beyond which H is quadratic
 _NOISE = 1e-13  # entries, relative to the largest in suitable units, that are round-off
-_RESTING = 1e-6  # size of a component, relative to the largest of its kind, that is at rest
+_RESTING = 1e-6  # size of a component that is at rest, relative to a motion as far as others
 _SHARE = 0.05  # of an orbit's scale, with which the search for its ball begins
 _TOLERANCES = (1e-12, 1e-11, 1e-10, 1e-9, 1e-8)  # of the map, the first that is met
 
@@ -241,7 +241,7 @@ def _of_orbit(orbit: PeriodicOrbit, sign: int, wanted: float) -> Departure:
     if sign < 0:
         matrix = np.linalg.inv(matrix) if H.forces else symplectic_inverse(matrix)
     coupling = _coupled(np.abs(_jacobians(orbit)).mean(axis=0))[1]
-    scale = coupled_sizes(_extents(orbit.arc.scale), coupling, orbit.period)
+    scale = coupled_sizes(_extents(orbit), coupling, orbit.period)
     rates, vectors = _away(matrix * scale / scale[:, None])
     if not len(rates):
         largest = float(np.abs(orbit.multipliers).max())
@@ -268,9 +268,10 @@ def _of_orbit(orbit: PeriodicOrbit, sign: int, wanted: float) -> Departure:
     return Departure(H, local, sign, start, rates, period, folding, around, multipliers)
 
 
-def _extents(scale: np.ndarray) -> np.ndarray:
-    """Sizes of components along an orbit; those at rest have that of the largest of their kind."""
-    largest = floored_sizes(scale, 1.0)
+def _extents(orbit: PeriodicOrbit) -> np.ndarray:
+    """Sizes of components along an orbit; for those at rest, as if they moved as far as others."""
+    scale = orbit.problem.scale_of(orbit.arc)
+    largest = orbit.problem.paired(scale, orbit.arc)
     return np.where(scale > _RESTING * largest, scale, largest)
 
 

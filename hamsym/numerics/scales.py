@@ -126,15 +126,49 @@ def tangent_scales(jacobians: np.ndarray) -> np.ndarray:
     return np.asarray(scales)
 
 
-def floored_sizes(sizes: np.ndarray, share: float) -> np.ndarray:
-    """Raise sizes to a share of the largest of their half, q or p; where that is zero, to one.
+def floored_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float, share: float) -> np.ndarray:
+    """Raise sizes to a share of the coupled ones, and of the paired ones to 1e-8.
+
+    The latter are for what is not coupled to the motion, as that across a plane. Without any motion
+    sizes are 1.
+
+    - sizes, coupling, time: As of :func:`coupled_sizes` and :func:`paired_sizes`.
 
     Examples
     --------
-    >>> floored_sizes(np.array([3.0, 0.0, 0.0, 0.0]), 0.1)
-    array([3. , 0.3, 1. , 1. ])
+    >>> coupling = np.array([[0, 0, 1.0, 0], [0, 0, 0, 1], [4, 0, 0, 0], [0, 1, 0, 0]])
+    >>> floored_sizes(np.array([3.0, 0.0, 0.0, 0.0]), coupling, 10.0, 0.1).round(10)
+    array([3.00e+00, 4.24e-08, 6.00e-01, 4.24e-08])
     """
-    half = len(sizes) // 2
-    floors = np.repeat([sizes[:half].max(), sizes[half:].max()], half) * share
-    found = np.maximum(sizes, floors)
+    coupled = coupled_sizes(sizes, coupling, time)
+    paired = paired_sizes(sizes, coupling, time)
+    found = np.maximum(sizes, np.maximum(share * coupled, SMALLEST * paired))
     return np.where(found > 0, found, 1.0)
+
+
+def paired_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.ndarray:
+    """Compute the sizes that all pairs (q_i, p_i) have where they move as far as the largest.
+
+    The product of a coordinate and its momentum is an action, which pairs of different units, as a
+    length and an angle, have in common. The ratio of q_i to p_i is that of their own oscillation,
+    or of a motion over a shorter time. Without any coupling it is that of their sizes.
+
+    - sizes, coupling: As of :func:`coupled_sizes`; entries that are not finite count as zero.
+    - time: Of the motion.
+
+    Examples
+    --------
+    >>> paired_sizes(np.array([2.0, 0.0]), np.array([[0.0, 1.0], [9.0, 0.0]]), 100.0)
+    array([2., 6.])
+    """
+    q, p = np.split(sizes, 2)
+    coupling = np.where(np.isfinite(coupling), coupling, 0.0)
+    drift = time * np.diagonal(coupling[: len(q), len(q) :])
+    force = time * np.diagonal(coupling[len(q) :, : len(q)])
+    with np.errstate(all="ignore"):
+        own = np.where((q > 0) & (p > 0), q / p, 1.0)
+        driven = np.where(force > 0, 1 / force, own)
+        turns = np.sqrt(drift) * np.sqrt(force)
+        root = np.sqrt(np.where(drift > 0, drift / np.maximum(turns, 1.0), driven))
+        largest = float(np.maximum(q / root, p * root).max())
+        return np.concatenate([largest * root, largest / root])

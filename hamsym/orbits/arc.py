@@ -21,14 +21,14 @@ import numpy as np
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.collocation import collocation
 from hamsym.numerics.pairs import Pair
-from hamsym.numerics.scales import floored_sizes
+from hamsym.numerics.scales import floored_sizes, paired_sizes
 from hamsym.numerics.windows import locate
 from hamsym.orbits.period import Period
 from hamsym.orbits.symmetry import Closing
 from hamsym.random_features.flow import flow_of
 from hamsym.support.record_fields import UNSAVED, AnyFloat, floats
 
-_FLOOR = 1e-8  # scale of a component relative to the largest of its kind
+_FLOOR = 1e-8  # scale of a component relative to what others make of it
 
 
 @dataclass(frozen=True)
@@ -81,12 +81,6 @@ class Arc:
         """Return the arc in float64."""
         return replace(self, _precise=None)
 
-    @property
-    def scale(self) -> np.ndarray:
-        """Largest size of each component, with a floor for components that are nearly zero."""
-        sizes = np.maximum(np.abs(self.ends).max(axis=0), np.abs(self.values).max(axis=(0, 1)))
-        return floored_sizes(sizes, _FLOOR)
-
     def at(self, fraction: np.ndarray) -> np.ndarray:
         """Evaluate states at fractions of the arc, shape (n,) -> (n, dim)."""
         return self._inside(*locate(self.edges, fraction))
@@ -106,10 +100,10 @@ class Arc:
             found[rows] = rule.interpolated(self.values[k], s[rows])
         return found
 
-    def tails(self) -> np.ndarray:
+    def tails(self, scale: np.ndarray) -> np.ndarray:
         """Size of the last Chebyshev coefficients of each window, relative to the scales."""
         series = np.einsum("ij,kjd->kid", collocation(self.values.shape[1]).to_series, self.values)
-        return np.asarray((np.abs(series[:, -3:]) / self.scale).max(axis=(1, 2)))
+        return np.asarray((np.abs(series[:, -3:]) / scale).max(axis=(1, 2)))
 
     def on(self, edges: np.ndarray, nodes: int) -> Arc:
         """Interpolate to parts of its windows, with another number of points."""
@@ -178,6 +172,32 @@ class Problem:
     def conservative(self) -> bool:
         """Whether energy is conserved, so that orbits come in families."""
         return self.H.conserves_energy
+
+    def scale_of(self, arc: Arc) -> np.ndarray:
+        """Largest size of each component, with a floor for components that are nearly zero."""
+        sizes = np.maximum(np.abs(arc.ends).max(axis=0), np.abs(arc.values).max(axis=(0, 1)))
+        return self.floored(sizes, arc, _FLOOR)
+
+    def floored(self, sizes: np.ndarray, arc: Arc, share: float) -> np.ndarray:
+        """Raise sizes to a share of those that components have by others along an arc."""
+        return floored_sizes(sizes, *self._coupling(arc), share)
+
+    def paired(self, sizes: np.ndarray, arc: Arc) -> np.ndarray:
+        """Sizes where all pairs of components move as far as the largest along an arc."""
+        return paired_sizes(sizes, *self._coupling(arc))
+
+    def _coupling(self, arc: Arc) -> tuple[np.ndarray, float]:
+        times = self.start + arc.edges * (arc.period / self.closing.parts)
+        return coupling_along(self.H, arc.ends, times)
+
+
+def coupling_along(
+    H: Hamiltonian, states: np.ndarray, times: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Mean of |J Hess| along states at times, shape (dim, dim), and the length of the times."""
+    with np.errstate(all="ignore"):
+        coupling = np.abs(flow_of(H).jacobian(states, times)).mean(axis=0)
+    return coupling, abs(float(times[-1] - times[0]))
 
 
 def vector_field_at(H: Hamiltonian, state: np.ndarray, time: float) -> np.ndarray:

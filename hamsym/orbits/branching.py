@@ -139,7 +139,7 @@ def _leaving(problem: Problem, arc: Arc, along: np.ndarray) -> _Leaving | None:
         return None
     count = arc.ends.size
     # Coordinates count alike in the extent of the motion, and momenta.
-    units = np.concatenate([np.tile(_extents(arc), len(arc.ends)), system.units[count:]])
+    units = np.concatenate([np.tile(_extents(problem, arc), len(arc.ends)), system.units[count:]])
     weights = np.ones(len(units))
     weights[:count] = 1 / np.sqrt(count)
     vectors = vectors * system.units / units * weights
@@ -154,14 +154,10 @@ def _leaving(problem: Problem, arc: Arc, along: np.ndarray) -> _Leaving | None:
     return _Leaving(problem, arc, system, found / size * np.sign(largest), units)
 
 
-def _extents(arc: Arc) -> np.ndarray:
-    """The largest extent of a coordinate for all coordinates, and of a momentum, shape (dim,).
-
-    Of an orbit at rest the units of its components.
-    """
+def _extents(problem: Problem, arc: Arc) -> np.ndarray:
+    """Extents of components that move as far as the largest; of an orbit at rest, their sizes."""
     extents = np.ptp(arc.ends, axis=0)
-    q, p = np.split(extents if extents.any() else arc.scale, 2)
-    return np.repeat([q.max(), p.max()], len(q))
+    return problem.paired(extents if extents.any() else problem.scale_of(arc), arc)
 
 
 def is_new(
@@ -177,7 +173,7 @@ def is_new(
     start = problem.start
     path = other(start + np.linspace(0, other.period, _POINTS))
     states = orbit(start + np.linspace(0, orbit.period, _PLACES))
-    units = _extents(old.arc)
+    units = _extents(old.problem, old.arc)
     path, states = path / units, states / units
     legs = np.diff(path, axis=0)
     from_start = states[:, None] - path[:-1]

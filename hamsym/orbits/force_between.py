@@ -36,7 +36,7 @@ def missed_feature(problem: Problem, arc: Arc, tol: float) -> str:
         at = start[:, None] + lengths[:, None] * rule.nodes
         force = flow.vector_field(arc.values.reshape(-1, dim), at.ravel())
         force = np.broadcast_to(force, (count * nodes, dim)).reshape(arc.values.shape)
-        limits = tol / count * arc.scale
+        limits = tol / count * problem.scale_of(arc)
         limits = limits + ROUND_OFF * lengths[:, None] * np.abs(force).max(axis=1)
     curve, slopes = rule.to_series @ arc.values, rule.to_series @ force
 

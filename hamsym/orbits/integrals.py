@@ -113,7 +113,7 @@ class Slice:
 
 def slice_of(problem: Problem, arc: Arc) -> Slice:
     """Return the planes across all directions along which a periodic orbit can be moved."""
-    state, scale = arc.ends[0], arc.scale
+    state, scale = arc.ends[0], problem.scale_of(arc)
     kept = _closing_independent(problem, arc)
     rows = directions(kept, state)
     if problem.autonomous and not problem.conservative:
@@ -143,7 +143,8 @@ def _closing_independent(problem: Problem, arc: Arc) -> tuple[Hamiltonian, ...]:
     closing, integrals = problem.closing, shared_integrals(problem.H, problem.closing)
     start, end = directions(integrals, arc.ends[0]), directions(integrals, arc.ends[-1])
     gaps = end - closing.shift(start) if closing.last is None else (end - closing.last(end)) / 2
-    return tuple(_independent(problem.H, integrals, arc.ends[0], arc.scale, gaps))
+    scale = problem.scale_of(arc)
+    return tuple(_independent(problem.H, integrals, arc.ends[0], scale, gaps))
 
 
 def _independent(

@@ -17,7 +17,6 @@ from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.numerics.collocation import collocation
 from hamsym.numerics.pairs import Pair
-from hamsym.numerics.scales import floored_sizes
 from hamsym.numerics.symplectic import symplectic_inverse
 from hamsym.orbits.arc import Arc, Problem, vector_field_at
 from hamsym.orbits.condensed import SINGULAR
@@ -204,7 +203,7 @@ class PeriodicOrbit(Drawn, Saved):
     @cached_property
     def _reduced(self) -> np.ndarray:
         """The shift map without the directions of integrals and of their symmetries."""
-        problem, ends, scale = self.problem, self.arc.ends, self.arc.scale
+        problem, ends, scale = self.problem, self.arc.ends, self.problem.scale_of(self.arc)
         gradients = gradients_of_integrals(self.H, ends, scale, problem.closing.shift)
         rates = None
         if problem.autonomous and not problem.conservative:  # else it is that of H
@@ -252,7 +251,7 @@ class PeriodicOrbit(Drawn, Saved):
             order=self.problem.closing.order,
             error=self.multiplier_error,
             conservative=not self.H.forces,
-            shear=shear_of(self.monodromy, np.eye(self.H.dim), self.arc.scale),
+            shear=shear_of(self.monodromy, np.eye(self.H.dim), self.problem.scale_of(self.arc)),
         )
 
     # -- consumers ----------------------------------------------------------------------------
@@ -418,7 +417,7 @@ def solved_orbit(
             orbit._reduced, coarser._reduced, conservative=not problem.H.forces
         )
         if not len(orbit._reduced):
-            spread = shear_of(orbit.monodromy, coarser.monodromy, finer.scale)
+            spread = shear_of(orbit.monodromy, coarser.monodromy, problem.scale_of(finer))
     if not isolated and problem.period is None:
         # Newton's matrix of an unstable orbit may be singular up to round-off only. Orbits of one
         # energy are isolated if no multiplier is 1; with further integrals the matrix, too, has to
@@ -493,11 +492,12 @@ def _first_part(arc: Arc, repetitions: int) -> Arc:
 def _degenerate(problem: Problem, arc: Arc) -> str:
     """Why a solution of the equations is no periodic orbit, or an empty text."""
     rate = vector_field_at(problem.H, arc.ends[0], problem.start)
-    moves = np.abs(rate) * abs(arc.period) / arc.scale
+    scale = problem.scale_of(arc)
+    moves = np.abs(rate) * abs(arc.period) / scale
     if not arc.period > 0:
         return "the period became zero"
     extent = np.ptp(arc.at(np.linspace(0, 1, _POINTS)), axis=0)
-    if problem.autonomous and not (moves.max() > _SAME and (extent / arc.scale).max() > _SAME):
+    if problem.autonomous and not (moves.max() > _SAME and (extent / scale).max() > _SAME):
         return "Newton's method ended at an equilibrium; give a guess farther from it"
     return ""
 
@@ -539,7 +539,7 @@ def _repetitions(problem: Problem, arc: Arc) -> int:
     orbit = _unjudged(problem, arc)
     times = problem.start + np.linspace(0, arc.period, _POINTS)
     states = orbit(times)
-    units = floored_sizes(np.ptp(states, axis=0), _SAME)
+    units = problem.floored(np.ptp(states, axis=0), arc, _SAME)
     found, shortest = 1, arc.period
     # Most orbits are at another state after these parts of the period.
     firsts = orbit(times[0] + shortest / np.array(_REPETITIONS))

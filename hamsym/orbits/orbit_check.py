@@ -47,7 +47,7 @@ def check_orbit(orbit: PeriodicOrbit, known: np.ndarray, states: np.ndarray) -> 
     nodes = arc.values.shape[1]
     clock = 32 * _UNIT * (2 * orbit.period + np.abs(times) + abs(start))
     rates = [np.abs(vector_field_at(orbit.H, z, t)) for z, t in zip(found[0], times, strict=True)]
-    allowed = clock[:, None] * np.array(rates) + 8 * _UNIT * nodes**3 * arc.scale
+    allowed = clock[:, None] * np.array(rates) + 8 * _UNIT * nodes**3 * orbit.problem.scale_of(arc)
     turned = [
         [closing.unfolded(int(k), z[None])[0] for k, z in zip(parts, row, strict=True)]
         for row in found

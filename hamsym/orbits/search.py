@@ -13,7 +13,7 @@ from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.collocation import collocation
 from hamsym.numerics.scales import floored_sizes
-from hamsym.orbits.arc import Arc, Problem, vector_field_at
+from hamsym.orbits.arc import Arc, Problem, coupling_along, vector_field_at
 from hamsym.orbits.integrals import slice_of
 from hamsym.orbits.newton_system import NewtonSystem, Step
 from hamsym.orbits.symmetry import Closing
@@ -45,7 +45,7 @@ _CLOSED = 1e-5  # distance from closing that no other period makes smaller
 _COARSE, _MOST_MARCHED = 1e-9, 5_000  # of a march in the search for a return: windows at most
 _HORIZONS = 6  # times that the search for a return doubles its time
 _NEAR = 0.1  # distance of a return that ends the search, relative to the motion
-_LEAST = 1e-3  # size of a component relative to the largest of its half
+_LEAST = 1e-3  # extent of a component relative to what others make of it
 _AROUND, _PLACES = 1e-2, 401  # share of the period around which a return is looked for, and times
 _FAR = 0.5  # distance of a return from which Newton's method has no chance
 
@@ -88,7 +88,7 @@ def first_arc(problem: Problem, state: np.ndarray, period: float) -> Arc:
             f"{path.reason}; give another guess, or one with a shorter period"
         )
     if free and not path.reason:
-        duration = _nearest_return(path, problem.closing, duration)
+        duration = _nearest_return(H, path, problem.closing, duration)
     # Windows in proportion to those of the march, whose basis has another number of points.
     times = path.edges + (path.origin - start)
     count = int(np.searchsorted(times, duration))
@@ -132,8 +132,9 @@ def shot(problem: Problem, arc: Arc) -> Arc:
     """
     with np.errstate(all="ignore"):
         before = NewtonSystem(problem, arc, slice_of(problem, arc)).solved()
+        scale = problem.scale_of(arc)
         for _ in range(_SHOTS):
-            start = float(np.abs(before.ends[0] / arc.scale).max())
+            start = float(np.abs(before.ends[0] / scale).max())
             if not (before.size > _FAST and start < _SLOW_START * before.size):
                 break
             state, period = arc.ends[0] + before.ends[0], arc.period + before.period
@@ -170,14 +171,14 @@ def _in_windows(problem: Problem, state: np.ndarray, edges: np.ndarray, period: 
     return Arc(edges, np.array(ends), np.array(values), period)
 
 
-def _nearest_return(path: March, closing: Closing, duration: float) -> float:
+def _nearest_return(H: Hamiltonian, path: March, closing: Closing, duration: float) -> float:
     """The time near a duration at which a path, from its start, is nearest to closing.
 
     An error of the period is large where the motion is fast, as in close encounters, and Newton's
     method would have to shift these in time.
     """
     start = path.ends[0]
-    units = np.ptp(path.states, axis=0)
+    units = _extents(H, path.states, path.origin + path.edges)
 
     def distance(times: np.ndarray) -> np.ndarray:
         return _distances(closing, _states(path, start + np.append(0.0, times)), units)[1:]
@@ -214,7 +215,7 @@ def first_return(H: Hamiltonian, closing: Closing, state: np.ndarray) -> float:
         path = _states(found, times)
         if not np.isfinite(path).all():
             break
-        distances = _distances(closing, path, np.ptp(path, axis=0))
+        distances = _distances(closing, path, _extents(H, path, times))
         low = np.flatnonzero(
             (distances[1:-1] <= distances[:-2]) & (distances[1:-1] < distances[2:])
         )
@@ -255,9 +256,13 @@ def _rates(H: Hamiltonian, state: np.ndarray, time: float) -> tuple[np.ndarray, 
     return field, jacobian
 
 
-def _distances(closing: Closing, path: np.ndarray, extent: np.ndarray) -> np.ndarray:
-    """Distances of a path from closing, relative to its extent."""
-    units = floored_sizes(extent, _LEAST)
+def _extents(H: Hamiltonian, states: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Extents of the components, with a floor for those that hardly move."""
+    return floored_sizes(np.ptp(states, axis=0), *coupling_along(H, states, times), _LEAST)
+
+
+def _distances(closing: Closing, path: np.ndarray, units: np.ndarray) -> np.ndarray:
+    """Distances of a path from closing, in units of the components."""
     if closing.last is not None:
         gaps = path @ closing.last.conditions.T / (np.abs(closing.last.conditions) @ units)
     else:
@@ -316,7 +321,9 @@ def refined(problem: Problem, arc: Arc) -> Found:
     for count in range(_REFINEMENTS):
         if found.failure:
             return found
-        wide = found.arc.tails() > (_SMALL_TAIL if count < _SMALL_ROUNDS else _TAIL)
+        wide = found.arc.tails(problem.scale_of(found.arc)) > (
+            _SMALL_TAIL if count < _SMALL_ROUNDS else _TAIL
+        )
         if not wide.any():
             return found
         edges = found.arc.edges
@@ -338,12 +345,12 @@ def check(problem: Problem, arc: Arc) -> tuple[Arc, Step, float]:
         step = NewtonSystem(problem, finer, slice_of(problem, arc)).solved()
     found = step.applied(finer) if math.isfinite(step.size) else arc
     # What is rounded of it counts as well.
-    rest = found.precise
-    ends = ((np.abs(step.ends) + np.abs(rest.ends.low)) / arc.scale).max()
+    rest, scale = found.precise, problem.scale_of(arc)
+    ends = ((np.abs(step.ends) + np.abs(rest.ends.low)) / scale).max()
     period = abs(step.period) + abs(float(rest.period.low))
     # States move by as much as the motion in the error of the period.
     times = problem.start + arc.edges * (arc.period / problem.closing.parts)
     with np.errstate(all="ignore"):
         moved = np.abs(flow_of(problem.H).vector_field(arc.ends, times)).max(axis=0) * period
-    errors = (ends, period / arc.period, (moved / arc.scale).max())
+    errors = (ends, period / arc.period, (moved / scale).max())
     return found, step, float(np.max(errors))  # NaN if one is

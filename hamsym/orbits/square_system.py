@@ -77,7 +77,7 @@ class SquareSystem:
         self.pieces = len(chosen) - 1
         self.edges, self.numerical = arc.edges[chosen], arc.ends[chosen[:-1]]
         self.states = self.numerical.copy()
-        self.scale, self._dim = arc.scale, problem.H.dim
+        self.scale, self._dim = problem.scale_of(arc), problem.H.dim
         # the first state is basis @ y
         self._basis, self._origin = np.eye(self._dim), self.numerical[0]
         if closing.first is not None:
@@ -254,7 +254,8 @@ def _chosen_edges(problem: Problem, arc: Arc, calm: float) -> np.ndarray:
     States in a close encounter determine the rest of the orbit badly.
     """
     times = problem.start + arc.edges * (arc.period / problem.closing.parts)
-    rates = flow_of(problem.H).jacobian(arc.ends, times) * arc.scale / arc.scale[:, None]
+    scale = problem.scale_of(arc)
+    rates = flow_of(problem.H).jacobian(arc.ends, times) * scale / scale[:, None]
     sizes = np.linalg.norm(rates, axis=(1, 2))
     slow = np.flatnonzero(sizes <= calm * np.median(sizes))
     count = max(math.ceil(len(slow) / _WINDOWS), _FEWEST)

@@ -96,7 +96,7 @@ def _orbit_data(orbit: hamsym.PeriodicOrbit) -> dict[str, Any]:
         "period": period,
         "edges": arc.edges.tolist(),
         "ends": arc.ends.tolist(),
-        "sizes": arc.scale.tolist(),
+        "sizes": problem.scale_of(arc).tolist(),
     }
 
 

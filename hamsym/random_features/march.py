@@ -44,9 +44,9 @@ _MOST_FAILURES = 3  # after which there are no more checks
 _RESTING, _REST = 256, 1e-7
 REST = "the motion comes to rest where a force jumps, as under dry friction"
 MAX_WINDOWS = 200_000
-# Of a rough look at the whole span: the share of the sizes found there that floors become, steps at
-# least, and states at most.
-_AHEAD, _LOOKS, _MOST_LOOKS = 1e-3, 64, 20_000
+# Of a rough look at the whole span: the share of the sizes found there that floors become, that of
+# what others make of a component, steps at least, and states at most.
+_AHEAD, _MOVED, _LOOKS, _MOST_LOOKS = 1e-3, 1e-3, 64, 20_000
 _SURE = 5_000  # windows from which the total is known within a factor of ten
 
 
@@ -308,7 +308,9 @@ class _Marching:
             states.append(np.abs(z))
             return np.asarray(self._flow.vector_field(z[None], np.array([t]))[0])
 
-        z0, scale = self._windows.part(0, 0).states[0], floored_sizes(self._sizes, 1.0)
+        z0, time = self._windows.part(0, 0).states[0], np.array([self._start])
+        coupling = np.abs(self._flow.jacobian(z0[None], time)[0])
+        scale = floored_sizes(self._sizes, coupling, self._whole, _MOVED)
         span, longest = (self._start, self._end), self._whole / _LOOKS
         with contextlib.suppress(StopIteration), np.errstate(all="ignore"):
             scipy.integrate.solve_ivp(

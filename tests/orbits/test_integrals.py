@@ -79,7 +79,7 @@ def test_planes_cross_all_directions_of_an_orbit():
     orbit = hamsym.periodic_orbit(three_bodies(), (EIGHT, 6.3259))
     planes = slice_of(orbit.problem, orbit.arc)
     assert planes.normals.shape == (4, 12)
-    units = planes.normals * orbit.arc.scale
+    units = planes.normals * orbit.problem.scale_of(orbit.arc)
     np.testing.assert_allclose(units @ units.T, np.eye(4), atol=1e-13)
 
 

@@ -328,7 +328,7 @@ def test_bound_counts_components_that_the_symmetry_makes_zero():
     ends[0, 1] += 1e-7
     values[0, :, 1] += 1e-7 * (1 - collocation(values.shape[1]).nodes)
     moved = dataclasses.replace(orbit, arc=dataclasses.replace(arc, ends=ends, values=values))
-    assert moved.certify().bound > 0.99e-7 / arc.scale[1]
+    assert moved.certify().bound > 0.99e-7 / orbit.problem.scale_of(arc)[1]
 
 
 def test_plane_stays_at_the_numerical_start_when_this_is_corrected():

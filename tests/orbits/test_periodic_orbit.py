@@ -80,6 +80,24 @@ def test_units_do_not_matter(unit):
     assert orbit.period == pytest.approx(expected, rel=1e-12)
 
 
+@pytest.mark.parametrize("lengths", [(-33, 3), (0, -60)])
+def test_units_of_a_length_and_of_an_angle_do_not_matter(lengths):
+    a, b = (2.0**power for power in lengths)
+    action = 2.0**-50
+    H = hamsym.Hamiltonian(
+        "c*(((p_x*a)**2 + (p_y*b)**2)/(2*c**2) + ((x/a)**2 + (y/b)**2)/2 + (x/a)**2*y/b"
+        " - (y/b)**3/3)",
+        parameters={"a": a, "b": b, "c": action},
+    )
+    orbit = hamsym.periodic_orbit(H, ([0.0, 0.02 * b, 0.4 * action / a, 0.0], 6.3))
+    own = hamsym.periodic_orbit(HENON_HEILES, ([0.0, 0.02, 0.4, 0.0], 6.3))
+    assert orbit.success
+    assert orbit.stability == own.stability == "elliptic"
+    assert np.sort(orbit.multipliers.real) == pytest.approx(np.sort(own.multipliers.real), abs=1e-9)
+    family = orbit.family(energy=0.1 * action)
+    assert len(family) == len(own.family(energy=0.1))
+
+
 def test_given_period_determines_the_energy():
     amplitude = 2.5
     orbit = hamsym.periodic_orbit(DUFFING, [2.0, 0.0], period=float(duffing_period(amplitude)))
@@ -487,7 +505,7 @@ def test_close_encounter_is_evaluated_to_the_rounding_of_its_time():
     times = np.array([float((low + (high - low) * k / 8) * Fraction(arc.period)) for k in (2, 5)])
     exact = [float((Fraction(t) / Fraction(arc.period) - low) / (high - low)) for t in times]
     expected = collocation(arc.values.shape[1]).interpolation(np.array(exact)) @ arc.values[fastest]
-    assert np.abs((orbit(times) - expected) / arc.scale).max() < 1e-13
+    assert np.abs((orbit(times) - expected) / orbit.problem.scale_of(arc)).max() < 1e-13
     # Even the rounding of the period moves the state by more than the tolerance.
     assert not orbit.success
     assert orbit.relative_error > 1e-8

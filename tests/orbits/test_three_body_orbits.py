@@ -115,7 +115,7 @@ def test_arc_of_a_guess_has_no_kicks_at_the_ends_of_windows():
     problem = Problem(PLANAR, closing_of(PLANAR, None))
     arc = first_arc(problem, np.array(guess), period)
     maps = WindowMaps(problem, arc, ())
-    assert np.abs(maps.ends[..., -1] / arc.scale).max() < 1e-12
+    assert np.abs(maps.ends[..., -1] / problem.scale_of(arc)).max() < 1e-12
 
 
 @pytest.mark.slow

@@ -279,9 +279,10 @@ def checked_orbit(seed):
             assert not abs(value - arb(middle)) > arb(radius) + arb(10) ** -30, (seed, name)
     times = [exactly(Fraction(edge)) * T / closing.parts for edge in orbit.arc.edges.tolist()]
     states = [z, *integrate(flow, z, 0.0, times[1:-1], **_PRECISE).states] if times[1:-1] else [z]
+    sizes = orbit.problem.scale_of(orbit.arc).tolist()
     near = [
         all(abs(a - arb(b)) / arb(s) <= arb(certificate.bound) + arb(10) ** -30
-            for a, b, s in zip(state, ends, orbit.arc.scale.tolist(), strict=True))
+            for a, b, s in zip(state, ends, sizes, strict=True))
         for state, ends in zip(states, orbit.arc.ends.tolist(), strict=False)
     ]  # fmt: skip
     assert near[0], seed
@@ -294,7 +295,7 @@ def checked_orbit(seed):
 def true_orbit(problem, orbit, certificate):
     """The start, the period and the derivative over a shift, by Newton's method."""
     closing, flow, dim = orbit.problem.closing, problem.equations, problem.H.dim
-    sizes = [arb(size) for size in orbit.arc.scale.tolist()]
+    sizes = [arb(size) for size in orbit.problem.scale_of(orbit.arc).tolist()]
     start = [arb(value) for value in orbit.arc.ends[0].tolist()]
     slopes = [[value] for value in start]
     flow.rates(arb(0), slopes, [], 1)
