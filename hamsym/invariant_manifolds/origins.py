@@ -218,7 +218,7 @@ def _radius(flow: Flow, vector: np.ndarray, rate: complex) -> float:
             share = np.abs(rest / units).max() / (factor * abs(rate))
         return not share < _NONLINEAR
 
-    _, exponent = math.frexp(float(np.abs(flow.point).max()) or 1.0)
+    _, exponent = math.frexp(float(np.abs(flow.point / units).max()) or 1.0)
     factor = math.ldexp(1.0, exponent)
     if bends(factor):
         while factor > 1e-290 and bends(factor):

@@ -27,7 +27,7 @@ import numpy as np
 
 from hamsym.errors import InputError
 from hamsym.numerics.monomials import monomials
-from hamsym.numerics.scales import coupled_sizes
+from hamsym.numerics.scales import coupled_sizes, paired_sizes
 
 _TERMS, _DEGREE = 50, 10  # most terms of W, and its largest degree
 _NEWTON = 12  # iterations
@@ -329,13 +329,14 @@ def _judged(
 
 
 def _sizes(dynamics: Dynamics, rows: np.ndarray) -> np.ndarray:
-    """Sizes of components with those that others move; 1 where nothing moves.
+    """Sizes of components with those that others move; as far as these where nothing moves.
 
     About an orbit they are at least the same share of the size of each component along it.
     """
     sizes = coupled_sizes(np.abs(rows).max(axis=0), dynamics.coupling, dynamics.time)
     if dynamics.units is not None:
         sizes = np.maximum(sizes, dynamics.units * (sizes / dynamics.units).max())
+    sizes = np.where(sizes == 0, paired_sizes(sizes, dynamics.coupling, dynamics.time), sizes)
     return np.where(sizes == 0, 1.0, sizes)
 
 

@@ -44,6 +44,25 @@ def test_duffing_separatrix_in_any_unit(unit: float) -> None:
     assert np.abs(x - math.sqrt(2) / np.cosh(t - begun)).max() < 1e-11
 
 
+@pytest.mark.parametrize("unit", [2.0**-73, 2.0**60])
+def test_components_at_rest_have_units_of_their_own(unit: float) -> None:
+    """Of the saddle on the y axis, where x and p_x are 0."""
+    formula = f"c*({HENON})".replace("p_x", "(p_x/c)").replace("p_y", "(p_y/c)")
+    H = hamsym.Hamiltonian(formula, parameters={"c": unit})
+    saddle = next(one for one in hamsym.equilibria(H) if abs(one.z[1] - 1) < 1e-9)
+    assert saddle.manifolds(length=2).unstable.local_error < 1e-12
+
+
+def test_equilibrium_far_from_the_origin_in_its_unit() -> None:
+    a, b = 2.0**36, 2.0**96
+    formula = "c*((p/b)**2/2 - cos(x/a))"
+    H = hamsym.Hamiltonian(formula, parameters={"a": a, "b": b, "c": a * b / 2.0**24})
+    saddle = hamsym.equilibria(H, box={"x": (2 * a, 4 * a), "p": (-b, b)})[0]
+    found = saddle.manifolds(duration=8 * 2.0**24)
+    assert found.success
+    assert found.unstable.local_error < 1e-12
+
+
 def test_henon_heiles_saddle_has_its_exact_branch() -> None:
     saddle = next(one for one in hamsym.equilibria(HENON) if abs(one.z[1] - 1) < 1e-9)
     found = saddle.manifolds(duration=8).unstable
