@@ -617,14 +617,18 @@ def _flow(state, columns, at, h, slopes, second, times, fresh, parameters):
 
 
 @njit(error_model="numpy", nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _couple(vectors, angle):
-    """Rotate (q - x, p - y) by an angle, for the columns (q, p, x, y) of vectors."""
+def _couple(vectors, angle, units):
+    """Rotate (q - x, p - y) by an angle, for the columns (q, p, x, y) of vectors.
+
+    Coordinates are in the units of their momenta times those given.
+    """
     cosine, sine = math.cos(angle), math.sin(angle)
     for column in range(vectors.shape[1]):
         for row in range(DOF):
             left = vectors[row, column] - vectors[DIM + row, column]
             right = vectors[DOF + row, column] - vectors[DIM + DOF + row, column]
-            change = (cosine * left + sine * right - left) / 2
+            left /= units[row]
+            change = (cosine * left + sine * right - left) / 2 * units[row]
             vectors[row, column] += change
             vectors[DIM + row, column] -= change
             change = (cosine * right - sine * left - right) / 2
@@ -635,7 +639,7 @@ def _couple(vectors, angle):
 @njit(error_model="numpy", nogil=True, cache=True, no_cfunc_wrapper=True)
 def doubled(
     states, low, columns, out, offset, done, starts, sizes, first, saves, save_every,
-    weights, coupling, parameters,
+    weights, coupling, units, parameters,
 ):  # fmt: skip
     """Explicit steps for any H in the phase space of (q, p, x, y); see Tao 2016."""
     slopes = np.empty((2, 1, DIM))
@@ -657,8 +661,8 @@ def doubled(
                     # A loop, because numba compiles a function for each literal argument.
                     for flow in range(4):
                         if flow == 2:
-                            _couple(vectors, 2 * coupling * h)
-                            _couple(tangents, 2 * coupling * h)
+                            _couple(vectors, 2 * coupling * h, units)
+                            _couple(tangents, 2 * coupling * h, units)
                             elapsed += weight
                             time[0] = starts[trajectory] + sizes[trajectory] * elapsed
                         side = 1 if flow == 1 or flow == 2 else 0

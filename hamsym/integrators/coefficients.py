@@ -143,9 +143,9 @@ class RungeKutta:
 class Doubled:
     """Explicit steps for any H in the doubled phase space (q, p, x, y) of Tao (2016).
 
-    H(q, y) + H(x, p) + omega (|q - x|^2 + |p - y|^2)/2 is split into three flows A, B and C with
-    closed forms. A step is the product of A(g/2) B(g/2) C(g) B(g/2) A(g/2) over the weights g. The
-    time advances with C.
+    H(q, y) + H(x, p) + omega (|q - x|^2 + |p - y|^2)/2, in units in which coordinates and momenta
+    are of one size, is split into three flows A, B and C with closed forms. A step is the product
+    of A(g/2) B(g/2) C(g) B(g/2) A(g/2) over the weights g. The time advances with C.
     """
 
     weights: tuple[Decimal, ...]

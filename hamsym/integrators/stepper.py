@@ -25,6 +25,7 @@ from hamsym.integrators.adaptive import Adaptive
 from hamsym.integrators.coefficients import Doubled, RungeKutta, Scheme, Splitting
 from hamsym.integrators.step_scales import fastest_rates
 from hamsym.integrators.table import INTEGRATORS, usable_method
+from hamsym.numerics.scales import paired_sizes
 from hamsym.parallel.threads import Threads, slices
 from hamsym.problems.ensemble import Ensemble
 from hamsym.support.machine import memory_size
@@ -38,6 +39,9 @@ INTERRUPTED = "interrupted"
 _PIECE_WORK = 20_000_000
 # Component updates in all steps from which a second thread gains more than it costs to start.
 _MIN_THREADED_WORK = 200_000
+# Units of coordinates over those of momenta, or the reverse, up to which both count alike in the
+# coupling of a doubled phase space.
+_ALIKE = 1e3
 # Trajectories from which the loop that applies each flow to a block of them is faster.
 _MIN_ENSEMBLE = 4
 
@@ -120,7 +124,7 @@ class Stepper:
             [name == "symplectic_euler"] if implicit_euler else [*scheme.arrays]
         )
         if isinstance(scheme, Doubled):
-            self._constants.append(_coupling(H, states, starts, parameters, omega))
+            self._constants += _coupling(H, states, starts, parameters, omega)
 
     @property
     def states(self) -> np.ndarray:
@@ -210,15 +214,22 @@ def _coupling(
     starts: np.ndarray,
     parameters: np.ndarray,
     omega: float | None,
-) -> float:
-    """Check the coupling of a doubled phase space, or choose it."""
+) -> tuple[float, np.ndarray]:
+    """The coupling of a doubled phase space, given or chosen, and units of q over those of p.
+
+    The units are those of :func:`paired_sizes`, or 1 where these are not far from it.
+    """
+    rate = float(fastest_rates(H, states, starts, parameters).max())
     if omega is not None:
         require_number("omega", omega, 0)
-        return float(omega)
-    rate = float(fastest_rates(H, states, starts, parameters).max())
-    if not math.isfinite(rate):
+    elif not math.isfinite(rate):
         raise InputError("the Hessian of H is not finite at z0; give omega")
-    return 2 * rate if rate > 0 else 1.0
+    coupling = np.abs(H.compile("numpy").at("jacobian", states, starts, parameters)).mean(axis=0)
+    sizes = paired_sizes(np.ones(H.dim), coupling, 1 / rate if rate > 0 else 1.0)
+    units = sizes[: H.dof] / sizes[H.dof :]
+    units = np.where((units > 1 / _ALIKE) & (units < _ALIKE), 1.0, units)
+    own = 2 * rate if rate > 0 else 1.0
+    return own if omega is None else float(omega), units
 
 
 def _loop(H: Hamiltonian, scheme: Scheme, count: int, vectors: int) -> str:

@@ -844,6 +844,23 @@ def test_adaptive_methods_work_in_any_units(method: str, unit: float) -> None:
         np.testing.assert_allclose(found.z / [unit, 1e3 * unit], right, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("method", "options", "least"),
+    [("tao4", {"steps": 500}, 2e-5)],
+)
+def test_unequal_units_of_pairs_keep_errors(method: str, options: dict, least: float) -> None:
+    """As of a length and an angle in SI units; the errors of tao4 are as large."""
+    H = Hamiltonian(
+        "c*(((p_x*a)**2 + (p_y*b)**2)/(2*c**2) + (x/a)**2/2 + (x/a)**4/4 + 2*(y/b)**2)",
+        parameters={"a": 1.0, "b": 1.0, "c": 1.0},
+    )
+    own = hamsym.integrate(H, [1.0, 0.5, 0, 0], (0, 10), method, **options)
+    a, b, c = 2.0**-33, 2.0**40, 2.0**-50
+    scaled = H.with_parameters(a=a, b=b, c=c)
+    found = hamsym.integrate(scaled, [a, 0.5 * b, 0, 0], (0, 10), method, **options)
+    np.testing.assert_allclose(found.z / [a, b, c / a, c / b], own.z, rtol=0, atol=least)
+
+
 @pytest.mark.slow_cases("implicit_midpoint")
 @pytest.mark.parametrize("method", ["implicit_midpoint", "gauss4", "gauss6"])
 def test_implicit_methods_rest_at_an_equilibrium(method: str) -> None:
