@@ -12,6 +12,10 @@ import scipy
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
+from hamsym.numerics.scales import floored_sizes
+
+_LEAST = 1e-2  # size of a component relative to what others make of it
+_COUPLINGS = 64  # states at which that is found
 
 
 @dataclass(frozen=True)
@@ -20,7 +24,7 @@ class Adaptive:
 
     #: (H, z0, times, rtol, atol) -> (states, evaluations, message). After an early stop there are
     #: fewer states than times, and the message gives the reason; otherwise it is empty. If atol is
-    #: None it is 0.01 rtol times the magnitude of the motion.
+    #: None it is 0.01 rtol times the typical size of each component.
     run: Callable[..., tuple[np.ndarray, int, str]]
     is_symplectic = False
     is_symmetric = False
@@ -114,22 +118,29 @@ def _absolute_tolerance(
 ) -> np.ndarray:
     """Absolute tolerance that takes effect only near zeros of a component, shape (dim,).
 
-    It is a part of typical magnitudes of coordinates and momenta on a trajectory of low accuracy:
-    of the median over time, so that an escape at the end does not set the scale of the motion
-    before.
+    It is a part of the typical size of each component on a trajectory of low accuracy: of the
+    median over time, so that an escape at the end does not set the scale of the motion before.
     """
-    halves = np.abs(z0).reshape(2, -1).max(axis=1)
-    # A half of the state that is zero at the start grows to about its rate times the span.
+    system, time = H.compile("numpy"), abs(span[1] - span[0])
+
+    def sizes(states: np.ndarray, times: np.ndarray, least: np.ndarray) -> np.ndarray:
+        chosen = np.unique(np.linspace(0, len(times) - 1, _COUPLINGS).astype(int))
+        coupling = np.abs(system.at("jacobian", states[chosen], times[chosen]))
+        coupling = coupling[np.isfinite(coupling).all(axis=(1, 2))]
+        mean = coupling.mean(axis=0) if len(coupling) else np.zeros((H.dim, H.dim))
+        own = np.maximum(np.median(np.abs(states), axis=0), least)
+        return floored_sizes(np.where(np.isfinite(own), own, least), mean, time, _LEAST)
+
     with np.errstate(all="ignore"):
-        slopes = np.abs(_rates(H)(span[0], z0)).reshape(2, -1).max(axis=1)
-    rates = slopes * abs(span[1] - span[0])
-    guess = np.where(halves > 0, halves, np.where(rates > 0, rates, 1.0)).repeat(H.dof)
-    rough = _dop853(H, z0, span, 1e-3, 1e-3 * guess)
-    states = np.array(rough.y, dtype=float).reshape(2, H.dof, -1)
-    found = np.median(np.abs(states).max(axis=1), axis=1) if states.size else halves
-    usable = np.isfinite(found) & (found > 0)
-    sizes = np.where(usable, found, guess[:: H.dof]).repeat(H.dof)
-    return np.asarray(0.01 * rtol * sizes)
+        rates = np.abs(_rates(H)(span[0], z0))
+        # What is zero at the start grows to about its rate times the span.
+        grown = np.where((z0 == 0) & np.isfinite(rates), rates * time, 0.0)
+        guess = sizes(z0[None], np.array(span[:1]), grown)
+        rough = _dop853(H, z0, span, 1e-3, 1e-3 * guess)
+        states = np.array(rough.y, dtype=float).T
+        if states.size:
+            guess = sizes(states, np.array(rough.t), np.zeros(H.dim))
+    return np.asarray(0.01 * rtol * guess)
 
 
 def _dop853(

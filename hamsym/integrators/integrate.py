@@ -114,7 +114,7 @@ def integrate(
         of J Hess at the start.
     rtol, atol : float, optional
         Tolerances of an adaptive method. By default rtol is 1e-13, and atol is 0.01 rtol times the
-        typical magnitude of the coordinates or of the momenta.
+        typical size of each component.
     progress : bool, optional
         Whether to show progress; by default on a terminal, after a second.
     invariants : sequence of str, sympy.Expr or Invariant

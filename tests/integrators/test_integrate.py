@@ -846,7 +846,7 @@ def test_adaptive_methods_work_in_any_units(method: str, unit: float) -> None:
 
 @pytest.mark.parametrize(
     ("method", "options", "least"),
-    [("tao4", {"steps": 500}, 2e-5)],
+    [("tao4", {"steps": 500}, 2e-5), ("dop853", {"steps": 10, "rtol": 1e-8}, 1e-10)],
 )
 def test_unequal_units_of_pairs_keep_errors(method: str, options: dict, least: float) -> None:
     """As of a length and an angle in SI units; the errors of tao4 are as large."""
