@@ -8,7 +8,8 @@ parameter are unknowns of one Newton iteration. Values inside a window are elimi
 
 Where energy is conserved the equations dz/dt = J grad H + alpha grad H make the system square
 (Munoz-Almaraz, Freire, Galan, Doedel & Vanderbauwhede 2003): along a periodic orbit alpha = 0,
-because dH/dt = alpha |grad H|^2.
+because dH/dt = alpha |grad H|^2. Each gradient is taken in units of the components, so that
+Newton's iteration comes to the same orbit in all units.
 """
 
 from __future__ import annotations

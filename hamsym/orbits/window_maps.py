@@ -75,7 +75,7 @@ class WindowMaps:
             field = rates
             if integral != problem.H:
                 field = flow_of(integral).vector_field(states, times).reshape(rates.shape)
-            forcing[..., 2 + k] = gradients_from(field) * lengths
+            forcing[..., 2 + k] = gradients_from(field) * scale**2 * lengths
         inside, last = rule.integration[:-1], rule.integration[-1]
         residual, gaps = self._residuals(block, pairs, times)
         columns = np.zeros((windows, nodes, dim, self.ends.shape[-1]))

@@ -93,6 +93,9 @@ def test_units_of_a_length_and_of_an_angle_do_not_matter(lengths):
     own = hamsym.periodic_orbit(HENON_HEILES, ([0.0, 0.02, 0.4, 0.0], 6.3))
     assert orbit.success
     assert orbit.stability == own.stability == "elliptic"
+    guess = np.array([0.0, -0.1, 0.45, 0.0])  # far from an orbit
+    far = hamsym.periodic_orbit(H, guess * [a, b, action / a, action / b])
+    assert far.period == pytest.approx(hamsym.periodic_orbit(HENON_HEILES, guess).period, rel=1e-9)
     assert np.sort(orbit.multipliers.real) == pytest.approx(np.sort(own.multipliers.real), abs=1e-9)
     family = orbit.family(energy=0.1 * action)
     assert len(family) == len(own.family(energy=0.1))
