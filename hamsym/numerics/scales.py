@@ -100,8 +100,9 @@ def tangent_scales(jacobians: np.ndarray) -> np.ndarray:
 
     In others, float64 can neither keep vectors orthonormal nor choose pivots, if components differ
     by many powers of ten, as metres and kg m/s of an electron do. The units are powers of two that
-    balance the sum of matrices along a trajectory (Parlett & Reinsch 1969, by LAPACK); they are 1
-    where they would differ by less than a factor of 1,000.
+    balance the mean of matrices along a trajectory (Parlett & Reinsch 1969, by LAPACK), from those
+    of :func:`paired_sizes` on, because balancing leaves out what moves nothing, as the angle of a
+    central force. They are 1 where they would differ by less than a factor of 1,000.
 
     - jacobians: J Hess, shape (..., dim, dim); those that are not finite are left out.
 
@@ -115,11 +116,19 @@ def tangent_scales(jacobians: np.ndarray) -> np.ndarray:
     """
     dim = jacobians.shape[-1]
     matrices = np.abs(jacobians.reshape(-1, dim, dim))
-    total = matrices[np.isfinite(matrices).all(axis=(-1, -2))].sum(axis=0)
-    if not np.isfinite(total).all():
+    known = matrices[np.isfinite(matrices).all(axis=(-1, -2))]
+    mean = known.sum(axis=0) / max(len(known), 1)
+    if not np.isfinite(mean).all():
         return np.ones(dim)
-    with np.errstate(invalid="ignore"):  # scipy casts large scales to integers it does not use
+    rate = float(np.abs(np.linalg.eigvals(mean)).max())
+    with np.errstate(all="ignore"):  # scipy casts large scales to integers it does not use
+        paired = paired_sizes(np.ones(dim), mean, 1 / rate if rate > 0 else 1.0)
+        first = np.ldexp(1.0, np.round(np.log2(paired)).astype(int))
+        total = mean * first / first[:, None]
+        if not np.isfinite(total).all():
+            return np.ones(dim)
         _, (scales, _) = scipy.linalg.matrix_balance(total, permute=False, separate=True)
+        scales = first * scales
     usable = np.isfinite(scales).all() and (scales > 0).all()
     if not usable or scales.max() < _ALIKE * scales.min():
         return np.ones(dim)

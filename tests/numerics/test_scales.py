@@ -7,7 +7,7 @@ import pytest
 
 import hamsym
 from hamsym import Hamiltonian
-from hamsym.numerics.scales import coupled_sizes
+from hamsym.numerics.scales import coupled_sizes, tangent_scales
 
 
 def test_coupled_sizes_follow_the_units() -> None:
@@ -64,3 +64,16 @@ def test_units_of_a_component_change_nothing(tol: float) -> None:
     ).all()
     relative = big.error.largest / big.scale
     np.testing.assert_allclose(relative, small.error.largest / small.scale, rtol=1.0)
+
+
+def test_tangent_vectors_of_an_angle_that_moves_nothing() -> None:
+    """Of a central force, for (r, phi, p_r, p_phi): its column is zero, and the row of p_phi."""
+    jacobian = np.array([[0, 0, 1.0, 0], [2, 0, 0, 1], [3, 0, 0, 2], [0, 0, 0, 0]])
+    length, momentum, time = 2.0**-33, 2.0**-79, 2.0**-53
+    units = np.array([length, 1.0, momentum, momentum * length])
+    found = tangent_scales(jacobian * units[:, None] / units / time) / units
+    assert found.max() < 4 * found.min()
+
+
+def test_tangent_vectors_of_a_free_particle_have_one_unit() -> None:
+    np.testing.assert_array_equal(tangent_scales(np.array([[0.0, 1.0], [0.0, 0.0]])), 1)
