@@ -23,10 +23,13 @@ from scipy.integrate import odeint, solve_ivp
 
 import hamsym
 
-from .measuring import cpu, largest_error, median
+from .measuring import cpu, largest_error, median, short_cpu
 from .problems import Case
 
-INSTALLATION = {"numbalsoda": "numbalsoda (needs gfortran)"}
+INSTALLATION = {
+    "numbalsoda": "numbalsoda (needs gfortran)",
+    "neurodiffeq": "neurodiffeq (and remove the package `tests` that it installs)",
+}
 
 
 def optional(name: str, skipped: list[str]) -> Any:
@@ -67,14 +70,16 @@ class Run:
     note: str = ""
 
     def repeat(self, case: Case) -> None:
-        """Time one more call; judge the states of the first one."""
+        """Time more calls, short ones several in a row; judge the states of the first one."""
+        if self.seconds:
+            self.seconds.append(short_cpu(self.call))
+            return
         seconds, result = cpu(self.call)
-        if not self.seconds:
-            with np.errstate(all="ignore"):
-                self.error = largest_error(np.asarray(self.states(result, case.t)), case.truth)
-            if isinstance(result, hamsym.Solution) and not result.success:
-                self.note = "tolerance not met"
         self.seconds.append(seconds)
+        with np.errstate(all="ignore"):
+            self.error = largest_error(np.asarray(self.states(result, case.t)), case.truth)
+        if isinstance(result, hamsym.Solution) and not result.success:
+            self.note = "tolerance not met"
 
     def row(self, problem: str) -> dict[str, Any]:
         """The result, with the median of the repeats."""

@@ -1,7 +1,8 @@
 """Time for a true error: the march of random features beside other integrators.
 
 Six problems at three tolerances. True errors are 2-norms at 4,001 times. Times are medians over
-repeats in turns, without compilation. A ratio is the time of hamsym over that of the fastest run of
+repeats in turns, without compilation, of the fastest of short calls in a row: the first one comes
+after another package. A ratio is the time of hamsym over that of the fastest run of
 an opponent whose true error is no larger; opponents run at tolerances half a decade apart.
 """
 
