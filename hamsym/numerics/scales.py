@@ -136,7 +136,7 @@ def tangent_scales(jacobians: np.ndarray) -> np.ndarray:
 
 
 def floored_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float, share: float) -> np.ndarray:
-    """Raise sizes to a share of the coupled ones, and of the paired ones to 1e-8.
+    """Raise sizes to a share of the coupled ones, and to 1e-8 of the paired ones.
 
     The latter are for what is not coupled to the motion, as that across a plane. Without any motion
     sizes are 1.
