@@ -121,15 +121,19 @@ def _absolute_tolerance(
     It is a part of the typical size of each component on a trajectory of low accuracy: of the
     median over time, so that an escape at the end does not set the scale of the motion before.
     """
-    system, time = H.compile("numpy"), abs(span[1] - span[0])
+    time = abs(span[1] - span[0])
 
     def sizes(states: np.ndarray, times: np.ndarray, least: np.ndarray) -> np.ndarray:
+        own = np.maximum(np.median(np.abs(states), axis=0), least)
+        own = np.where(np.isfinite(own), own, least)
+        largest = own.reshape(2, -1).max(axis=1).repeat(H.dof)
+        if ((own > 0) & (own >= _LEAST * largest)).all():
+            return own  # large systems take long to derive twice
         chosen = np.unique(np.linspace(0, len(times) - 1, _COUPLINGS).astype(int))
-        coupling = np.abs(system.at("jacobian", states[chosen], times[chosen]))
+        coupling = np.abs(H.compile("numpy").at("jacobian", states[chosen], times[chosen]))
         coupling = coupling[np.isfinite(coupling).all(axis=(1, 2))]
         mean = coupling.mean(axis=0) if len(coupling) else np.zeros((H.dim, H.dim))
-        own = np.maximum(np.median(np.abs(states), axis=0), least)
-        return floored_sizes(np.where(np.isfinite(own), own, least), mean, time, _LEAST)
+        return floored_sizes(own, mean, time, _LEAST)
 
     with np.errstate(all="ignore"):
         rates = np.abs(_rates(H)(span[0], z0))
