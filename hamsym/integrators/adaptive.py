@@ -128,7 +128,7 @@ def _absolute_tolerance(
         own = np.where(np.isfinite(own), own, least)
         largest = own.reshape(2, -1).max(axis=1).repeat(H.dof)
         if ((own > 0) & (own >= _LEAST * largest)).all():
-            return own  # large systems take long to derive twice
+            return own  # the couplings of large systems take long to derive
         chosen = np.unique(np.linspace(0, len(times) - 1, _COUPLINGS).astype(int))
         coupling = np.abs(H.compile("numpy").at("jacobian", states[chosen], times[chosen]))
         coupling = coupling[np.isfinite(coupling).all(axis=(1, 2))]
