@@ -114,7 +114,7 @@ class Slice:
 def slice_of(problem: Problem, arc: Arc) -> Slice:
     """Return the planes across all directions along which a periodic orbit can be moved."""
     state, scale = arc.ends[0], problem.scale_of(arc)
-    kept = _closing_independent(problem, arc)
+    kept = _closing_independent(problem, arc, scale)
     rows = directions(kept, state)
     if problem.autonomous and not problem.conservative:
         rows = vector_field_at(problem.H, state, problem.start)[None]
@@ -134,7 +134,7 @@ def independent_integrals(
     return _independent(H, found, state, scale, np.zeros((len(found), len(state))))
 
 
-def _closing_independent(problem: Problem, arc: Arc) -> tuple[Hamiltonian, ...]:
+def _closing_independent(problem: Problem, arc: Arc, scale: np.ndarray) -> tuple[Hamiltonian, ...]:
     """Return independent integrals whose directions lead to other orbits that close.
 
     On an orbit that does not close yet there may be more integrals: the angular momentum of the
@@ -143,7 +143,6 @@ def _closing_independent(problem: Problem, arc: Arc) -> tuple[Hamiltonian, ...]:
     closing, integrals = problem.closing, shared_integrals(problem.H, problem.closing)
     start, end = directions(integrals, arc.ends[0]), directions(integrals, arc.ends[-1])
     gaps = end - closing.shift(start) if closing.last is None else (end - closing.last(end)) / 2
-    scale = problem.scale_of(arc)
     return tuple(_independent(problem.H, integrals, arc.ends[0], scale, gaps))
 
 

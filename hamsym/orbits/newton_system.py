@@ -59,7 +59,7 @@ class NewtonSystem:
 
     def __init__(self, problem: Problem, arc: Arc, slice: Slice) -> None:
         self._arc, self._windows = arc, WindowMaps(problem, arc, slice.integrals)
-        dim, self.scale = problem.H.dim, problem.scale_of(arc)
+        dim, self.scale = problem.H.dim, self._windows.scale
         self._dim, self._numbers = dim, 2 + len(slice.integrals)
         self._rows: list[np.ndarray] = []
         self._right: list[np.ndarray] = []

@@ -41,7 +41,7 @@ class WindowMaps:
         self.inside = np.empty((windows, nodes, dim, columns))
         self.ends = np.empty((windows, dim, columns))
         self.residual = np.empty((windows, nodes, dim))
-        self._problem, self._arc, self._scale = problem, arc, problem.scale_of(arc)
+        self._problem, self._arc, self.scale = problem, arc, problem.scale_of(arc)
         count = max(1, _BLOCK // (nodes * dim) ** 2)
         blocks = [slice(first, first + count) for first in range(0, windows, count)]
         with Threads(len(blocks)) as threads:
@@ -50,7 +50,7 @@ class WindowMaps:
 
     def _solve(self, block: slice) -> None:
         """Solve the equations in some of the windows."""
-        problem, arc, scale = self._problem, self._arc, self._scale
+        problem, arc, scale = self._problem, self._arc, self.scale
         flow, values, edges = flow_of(problem.H), arc.values[block], arc.edges
         windows, nodes, dim = values.shape
         rule = collocation(nodes)
