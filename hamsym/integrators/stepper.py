@@ -25,7 +25,7 @@ from hamsym.integrators.adaptive import Adaptive
 from hamsym.integrators.coefficients import Doubled, RungeKutta, Scheme, Splitting
 from hamsym.integrators.step_scales import fastest_rates
 from hamsym.integrators.table import INTEGRATORS, usable_method
-from hamsym.numerics.scales import paired_sizes
+from hamsym.numerics.scales import tangent_scales
 from hamsym.parallel.threads import Threads, slices
 from hamsym.problems.ensemble import Ensemble
 from hamsym.support.machine import memory_size
@@ -39,9 +39,6 @@ INTERRUPTED = "interrupted"
 _PIECE_WORK = 20_000_000
 # Component updates in all steps from which a second thread gains more than it costs to start.
 _MIN_THREADED_WORK = 200_000
-# Units of coordinates over those of momenta, or the reverse, up to which both count alike in the
-# coupling of a doubled phase space.
-_ALIKE = 1e3
 # Trajectories from which the loop that applies each flow to a block of them is faster.
 _MIN_ENSEMBLE = 4
 
@@ -217,19 +214,19 @@ def _coupling(
 ) -> tuple[float, np.ndarray]:
     """The coupling of a doubled phase space, given or chosen, and units of q over those of p.
 
-    The units are those of :func:`paired_sizes`, or 1 where these are not far from it.
+    The units are those of :func:`tangent_scales`.
     """
-    rate = float(fastest_rates(H, states, starts, parameters).max())
     if omega is not None:
         require_number("omega", omega, 0)
-    elif not math.isfinite(rate):
-        raise InputError("the Hessian of H is not finite at z0; give omega")
-    coupling = np.abs(H.compile("numpy").at("jacobian", states, starts, parameters)).mean(axis=0)
-    sizes = paired_sizes(np.ones(H.dim), coupling, 1 / rate if rate > 0 else 1.0)
-    units = sizes[: H.dof] / sizes[H.dof :]
-    units = np.where((units > 1 / _ALIKE) & (units < _ALIKE), 1.0, units)
-    own = 2 * rate if rate > 0 else 1.0
-    return own if omega is None else float(omega), units
+        coupling = float(omega)
+    else:
+        rate = float(fastest_rates(H, states, starts, parameters).max())
+        if not math.isfinite(rate):
+            raise InputError("the Hessian of H is not finite at z0; give omega")
+        coupling = 2 * rate if rate > 0 else 1.0
+    jacobians = H.compile("numpy").at("jacobian", states, starts, parameters)
+    q, p = np.split(tangent_scales(jacobians), 2)
+    return coupling, q / p
 
 
 def _loop(H: Hamiltonian, scheme: Scheme, count: int, vectors: int) -> str:
