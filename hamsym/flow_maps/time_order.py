@@ -45,6 +45,14 @@ def require_order(map: Any, span: tuple[float, float]) -> None:
             raise ValueError("a leg does not end where the next one starts, or with its span")
 
 
+def legs_of(map: Any) -> list[Leg]:
+    """The legs of all parts of a map."""
+    if isinstance(map, Leg):
+        return [map]
+    parts = map.maps if isinstance(map, Chain) else [map.low, map.high]
+    return [leg for part in parts for leg in legs_of(part)]
+
+
 def require_inputs(map: Any, dim: int, count: int) -> None:
     """Raise ValueError unless chains keep the inputs that are no components of the state."""
     if isinstance(map, Chain):

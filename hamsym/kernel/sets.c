@@ -306,13 +306,18 @@ EXPORTED void hamsym_clenshaw(const double *ch, const double *cl, int64_t count,
   }
 }
 
-/* Add products of coefficients of Taylor models, terms x cells, to their places. */
+/* Add products of coefficients of Taylor models, terms x cells, to their places; a row that is zero adds nothing. */
 EXPORTED void hamsym_add_products(double *restrict found, const double *restrict first, const double *restrict second,
                                   const int64_t *rows, const int64_t *others, const int64_t *targets, int64_t count,
                                   int64_t cells) {
-  for (long place = 0; place < count; place++) {
-    const double *a = first + rows[place] * cells, *b = second + others[place] * cells;
-    double *out = found + targets[place] * cells;
-    for (long cell = 0; cell < cells; cell++) out[cell] += a[cell] * b[cell];
+  for (long begin = 0, end; begin < count; begin = end) {
+    const double *a = first + rows[begin] * cells;
+    int zero = 1;
+    for (long cell = 0; cell < cells; cell++) zero &= a[cell] == 0;
+    for (end = begin; end < count && rows[end] == rows[begin]; end++) {
+      const double *b = second + others[end] * cells;
+      double *out = found + targets[end] * cells;
+      for (long cell = 0; cell < cells && !zero; cell++) out[cell] += a[cell] * b[cell];
+    }
   }
 }

@@ -131,7 +131,7 @@ def support(errors, column, part, direction):
 
 def some_errors(rng):
     H, space, parts = Hamiltonian(PENDULUM), space_of(2, 4, 3), 3
-    stepper = Stepper(Flow(H, []), space)
+    stepper = Stepper(Flow(H, []), space, space.degree - 1)
 
     def models(size):
         coefficients = rng.normal(size=(space.count, parts)) * (space.exponents[:, :1] == 0)

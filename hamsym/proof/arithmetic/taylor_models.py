@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 from flint import arb, arb_series
-from scipy.sparse import csr_array
+from scipy.sparse import coo_array, csr_array
 
 from hamsym.kernel.enclosures import enclosures
 from hamsym.proof.arithmetic.balls import above, working
@@ -53,7 +53,7 @@ def _known(number: arb | int) -> tuple[float, float]:
     return float_with_radius(number if isinstance(number, arb) else arb(number))
 
 
-@functools.lru_cache(maxsize=16)
+@functools.lru_cache(maxsize=32)
 def space_of(inputs: int, time_degree: int, degree: int) -> Space:
     """The terms of Taylor models, whose tables are made once."""
     return Space(inputs, time_degree, degree)
@@ -112,10 +112,13 @@ class Space:
 
     def _matrix(self, rule: Callable[..., Iterable[tuple[_Term, float]]]) -> csr_array:
         """The matrix of a linear map, by the terms and factors that it makes of each term."""
-        matrix = np.zeros((self.count, self.count))
-        for i, term in enumerate(self.exponents.tolist()):
-            for target, factor in rule(*term):
-                matrix[self.places[target], i] += factor
+        entries = [
+            (factor, self.places[target], i)
+            for i, term in enumerate(self.exponents.tolist())
+            for target, factor in rule(*term)
+        ]
+        factors, rows, columns = zip(*entries, strict=True)
+        matrix = coo_array((factors, (rows, columns)), shape=(self.count, self.count))
         return csr_array(matrix)
 
     def _integrated(self, a: int, *nu: int) -> Iterator[tuple[_Term, float]]:

@@ -10,6 +10,7 @@ front goes to both sides; cells that are surely on one side leave the other.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ from hamsym.errors import CertificationError, InputError
 from hamsym.flow_maps.box import Box
 from hamsym.flow_maps.expansion import Chain, Leg, Split
 from hamsym.flow_maps.flow_map import FlowMap
+from hamsym.flow_maps.time_order import legs_of
 from hamsym.formula.parser import canonical_name
 from hamsym.numerics.linear_systems import blas_on_one_core
 from hamsym.proof.arithmetic.balls import working
@@ -41,18 +43,18 @@ from hamsym.proof.limits import Deadline
 from hamsym.support.records import packed
 from hamsym.support.validation import checked_mapping, require_whole
 
-# Largest degrees in tau and in the inputs, by the number of inputs: of the map and its defect, and
-# of everything else.
-_DEGREES = {
-    1: ((16, 14), (12, 10)),
-    2: ((14, 12), (12, 10)),
-    3: ((12, 8), (10, 6)),
-    4: ((10, 6), (8, 5)),
-}
-_MANY_INPUTS = ((10, 4), (8, 3))
+# Largest degrees in tau, by the number of inputs: of the map with its defect, and of all else.
+_IN_TIME = {1: (16, 12), 2: (14, 12), 3: (12, 10)}
+_IN_TIME_OF_MANY = 10, 8
+# Largest and least degrees in the inputs, as far as models without time have so many terms; and
+# that of M, on which second-order terms depend alone.
+_MOST, _LEAST, _TERMS, _OF_MATRIX = 18, 6, 800, 4
 _SHARE = 1.0  # of the estimated error, that second order and radii may add
 _AT_ONCE = 0.2  # of that, at the start of the span; all of it at the end
 _SMALL, _SMALLEST = 0.01, 2e-11  # always small enough: of the tolerance, and of the states
+# Of what the tolerance leaves beside the estimated error, what radii may add where sharper bounds
+# need more than so many cells; all of that for twice as many.
+_ROOM, _MANY = 0.5, 32
 # Where steps are chosen: points; radius of the defect, relative to it; share of the estimated error
 # that these radii may add; integral of S' + S A, relative to S; 1 - M S; largest factor by which
 # the halving of a step reduces what it leaves out.
@@ -148,6 +150,14 @@ def _intervals(flow: FlowMap, box: Mapping[str, Any] | None) -> list[Interval]:
     return [(Fraction(low), Fraction(high)) for low, high in given.values()]
 
 
+def _degree(flow: FlowMap) -> int:
+    """The degree of models in the inputs: that of the map, between limits."""
+    d = len(flow.inputs)
+    own = max(piece.degrees.sum(axis=1).max() for leg in legs_of(flow.map) for piece in leg.pieces)
+    most = max(m for m in range(1, _MOST + 1) if math.comb(d + m, d) <= _TERMS or m == 1)
+    return int(min(max(own + 3, _LEAST), most))
+
+
 class _Proof:
     """The proof for a map over a box.
 
@@ -159,13 +169,14 @@ class _Proof:
         self.map, self.region, self._deadline, self._most = flow, flow.region, deadline, most
         H, d = flow.H, len(flow.inputs)
         self.flow = Flow(H, [name for name in flow.region.parameters if name in H.parameter_names])
-        degrees, lower = _DEGREES.get(d, _MANY_INPUTS)
-        self.space = space_of(d, *degrees)
-        self.stepper = Stepper(self.flow, space_of(d, *lower))
+        (most, in_time), degree = _IN_TIME.get(d, _IN_TIME_OF_MANY), _degree(flow)
+        self.space = space_of(d, most, degree)
+        lower = degree - 1 - degree // 9
+        self.stepper = Stepper(self.flow, space_of(d, in_time, lower), min(lower - 1, _OF_MATRIX))
         self.slopes = ParameterSlopes(H, [])
         # Steps are chosen with models whose inputs are fixed.
-        self._fixed = space_of(d, degrees[0], 1)
-        self._fixed_stepper = Stepper(self.flow, space_of(d, lower[0], 1))
+        self._fixed = space_of(d, most, 1)
+        self._fixed_stepper = Stepper(self.flow, space_of(d, in_time, 1), 0)
         self._end = Fraction(float(flow.span[1]))
         self._start = Fraction(float(flow.span[0]))
         self._length = abs(self._end - self._start)
@@ -214,7 +225,7 @@ class _Proof:
         t = float(begin + step.low)
         self._deadline.check(f"the error was bounded, at t = {t:.6g}")
         trial = front.trial(step)
-        own = grid.shares(trial, len(front))
+        own = grid.shares(trial, len(front), count)
         passed = float(abs(begin + step.high - self._start) / self._length)
         limit = _AT_ONCE + (1 - _AT_ONCE) * passed
         # Where a cell was halved along every input, and it does not help, rounding is left.
@@ -310,7 +321,8 @@ class _Proof:
                     stack += [(second, coarse), (first, coarse)]
         enough = max(_SMALL * self.map.tol, _SMALLEST) * scale
         allowed = np.maximum(_SHARE * self._goal, enough) + _TINY
-        return self._grids.setdefault((id(leg), end), _Grid(steps, growth, allowed))
+        room = np.maximum(_ROOM * (self.map.tol * scale - self._goal), 0)
+        return self._grids.setdefault((id(leg), end), _Grid(steps, growth, allowed, room))
 
 
 @dataclass
@@ -318,20 +330,27 @@ class _Grid:
     """Steps of a leg.
 
     - growth: Bounds on the entries of M, not proven, shape (dim, dim).
-    - allowed: Radii that the steps may add to the error over the whole span, shape (dim,).
+    - allowed, room: Radii that the steps may add to the error over the whole span, shape (dim,),
+      and what many cells may add to it.
     """
 
     steps: list[Step]
     growth: np.ndarray
     allowed: np.ndarray
+    room: np.ndarray
 
-    def shares(self, trial: _Trial | None, cells: int) -> np.ndarray:
-        """What a step adds, of what all steps may add; infinite where there is no bound."""
+    def shares(self, trial: _Trial | None, cells: int, count: int) -> np.ndarray:
+        """What a step adds, of what all steps may add; infinite where there is no bound.
+
+        - count: Of all cells of the proof.
+        """
         if trial is None:
             return np.full(cells, np.inf)
         errors = trial.errors
         added = np.einsum("ij,jc->ic", self.growth, errors.added)
-        found = (added / np.maximum(self.allowed[:, None], _SHARE * errors.sharp)).max(axis=0)
+        allowed = np.maximum(self.allowed[:, None], _SHARE * errors.sharp)
+        allowed = allowed + self.room[:, None] * min(max(count / _MANY - 1, 0), 1)
+        found = (added / allowed).max(axis=0)
         known = np.isfinite(errors.bound).all(axis=0) & np.isfinite(found)
         return np.where(known, found, np.inf)
 

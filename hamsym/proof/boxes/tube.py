@@ -178,11 +178,12 @@ class Stepper:
     """Models on steps of the time.
 
     - space: Of all models but those from which the defect is made, which may have higher degrees.
+    - degree: Largest degree of M in the inputs.
     """
 
-    def __init__(self, flow: Flow, space: Space) -> None:
+    def __init__(self, flow: Flow, space: Space, degree: int) -> None:
         self.flow, self.space = flow, space
-        self.nodes = Nodes(space, min(_TIMES, space.time_degree), space.degree - 1)
+        self.nodes = Nodes(space, min(_TIMES, space.time_degree), degree)
 
     def lowered(self, models: Sequence[Model]) -> list[Model]:
         return [model.space.lowered(model, self.space) for model in models]

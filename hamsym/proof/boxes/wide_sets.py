@@ -185,7 +185,7 @@ class WideSet:
         d = len(chosen)
         space = self._space = space_of(d, *_DEGREES.get(d, _MANY_INPUTS))
         self._nodes = Nodes(space, space.time_degree, space.degree)
-        self._stepper = Stepper(self._flow, space)
+        self._stepper = Stepper(self._flow, space, space.degree - 1)
         models = [space.constant(np.array([middle])) for middle in centre.tolist()]
         for k, column in enumerate(chosen):
             term = tuple(int(place == k) for place in range(d))
