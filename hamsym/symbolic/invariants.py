@@ -80,11 +80,7 @@ def is_conserved(
     """
     if any(step.free_symbols & {*equations.z, time} for step in f.atoms(*_STEPS)):
         return False
-    values = {
-        symbol: rational(value)
-        for name, (symbol, value) in equations.parameters.items()
-        if value is not None and name not in every
-    }
+    values = {s: value for s, value in equations.fractions.items() if s.name not in every}
     # Without the values first: their fractions are long.
     for given in ({}, values) if values else ({},):
         own, H, *forces = (e.xreplace(given) for e in (f, *equations.formulas))

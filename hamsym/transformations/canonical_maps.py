@@ -29,7 +29,6 @@ from hamsym.formula.effort_limit import CallLimitExceededError, call_limit
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.brackets import poisson_bracket
-from hamsym.symbolic.exact import rational
 from hamsym.symbolic.rational_matrices import inverse_matrix
 from hamsym.symbolic.variables import TIME
 
@@ -263,8 +262,7 @@ class OldVariables:
     def __init__(
         self, original: Hamiltonian, H: Hamiltonian, formulas: Mapping[str, sympy.Expr]
     ) -> None:
-        known = original.real_equations.parameters.values()
-        values = {symbol: rational(value) for symbol, value in known if value is not None}
+        values = original.real_equations.fractions
         self.expressions = [
             formulas.get(name, sympy.Symbol(name, real=True)).xreplace(values)
             for name in original.names
