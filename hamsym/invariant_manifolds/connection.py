@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from hamsym.invariant_manifolds.origins import Origin
 from hamsym.problems.surface import Surface, parse_surface
 from hamsym.solution.solution import Solution
 from hamsym.solution.times import times_in_span
-from hamsym.support.shown import Drawn, Shown
+from hamsym.support.shown import Drawn, Listed, Shown
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.validation import require_positive, require_whole
 
@@ -131,7 +131,7 @@ def _at(solution: Solution, times: np.ndarray) -> np.ndarray:
 
 @suggest_attributes
 @dataclass(frozen=True, eq=False)
-class Connections(Drawn, Shown, Sequence[Connection]):
+class Connections(Drawn, Shown, Listed[Connection]):
     """The connections that were found on a section; a sequence, the most transversal first.
 
     ``plot()`` draws the cuts of both manifolds with the section, and the connections in them.
@@ -160,19 +160,6 @@ class Connections(Drawn, Shown, Sequence[Connection]):
     success: bool
     message: str
     seconds: float
-
-    def __len__(self) -> int:
-        return len(self.found)
-
-    @overload
-    def __getitem__(self, index: int) -> Connection: ...
-    @overload
-    def __getitem__(self, index: slice) -> tuple[Connection, ...]: ...
-    def __getitem__(self, index: Any) -> Any:
-        return self.found[index]
-
-    def __iter__(self) -> Iterator[Connection]:
-        return iter(self.found)
 
     def __repr__(self) -> str:
         return f"Connections({self.H.formulas!r}, on {self.surface!r}: {self.message})"
