@@ -254,13 +254,12 @@ def chaos_indicators(
     if vectors > H.dim:
         raise InputError(f"vectors={vectors} cannot be used; z has {H.dim} components")
     reject_doubled(H, method)
-    states = H.states_from(z0)
-    if states.ndim > 1:
+    state = H.states_from(z0)
+    if state.ndim > 1:
         raise InputError(
-            f"z0 has the shape {states.shape}; give one start, or compute the exponents of all "
+            f"z0 has the shape {state.shape}; give one start, or compute the exponents of all "
             "with hamsym.lyapunov"
         )
-    state = H.state_from(z0)
     plan = TangentSteps.choose(H, method, state, span, steps, dt)
     began = time.perf_counter()
     run = _Indicators(plan, state, first_vectors(H.dim, vectors, seed))

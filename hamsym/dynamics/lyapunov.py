@@ -271,8 +271,7 @@ class _Benettin:
     """Growth of tangent vectors, made orthonormal again after every block of steps."""
 
     def __init__(self, stepper: Stepper, state: np.ndarray, plan: TangentSteps, block: int) -> None:
-        self._stepper, self._start, self._size = stepper, plan.span[0], plan.size
-        self._steps, self.block, self._scales = plan.number, block, plan.scales
+        self._stepper, self._plan, self.block = stepper, plan, block
         rows = np.geomspace(1, max(plan.number // block, 1), KEPT).astype(int)
         self._rows = set(rows.tolist())  # numbers of the blocks after which exponents are kept
         self._growth = np.zeros(stepper.tangents.shape[2])
@@ -287,16 +286,17 @@ class _Benettin:
         if not np.isfinite(state).all():
             self.problem = LOST
             return False
-        vectors, grown = orthonormal(self._stepper.tangents[0] / self._scales)
-        self._stepper.tangents[0] = self._scales * vectors
+        vectors, grown = orthonormal(self._stepper.tangents[0] / self._plan.scales)
+        self._stepper.tangents[0] = self._plan.scales * vectors
         if not np.isfinite(grown).all() or np.ptp(grown) > PARALLEL:
             self.problem = APART
             return False
         self._growth = self._growth + grown
-        if done == self._steps or done // self.block in self._rows:
+        if done == self._plan.number or done // self.block in self._rows:
             self.path.append(state)
-            self.times.append(self._start + self._size * done)
+            elapsed = self._plan.size * done
+            self.times.append(self._plan.span[0] + elapsed)
             # The order in which vectors are made orthogonal is that of their growth only after a
             # long time.
-            self.history.append(np.sort(self._growth)[::-1] / abs(self._size * done))
+            self.history.append(np.sort(self._growth)[::-1] / abs(elapsed))
         return True
