@@ -145,13 +145,11 @@ def prove_section(
 ) -> SectionCertificate:
     """Prove that the crossings of a section are all, and enclose them.
 
+    Raise CertificationError if there is no proof, with the reason, or the crossings are not those
+    of the section.
+
     - starts: Shape (trajectories, dim).
     - direction, limit: As the arguments ``direction`` and ``crossings`` of :func:`section`.
-
-    Raises
-    ------
-    CertificationError
-        If there is no proof, with the reason, or the crossings are not those of the section.
     """
     began = time.monotonic()
     if not section.success:

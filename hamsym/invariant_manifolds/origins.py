@@ -120,10 +120,7 @@ def _field(H: Hamiltonian, t: float, sign: int = 1) -> Callable[[np.ndarray], np
 def departure(origin: Origin, sign: int, wanted: float) -> Departure:
     """Find the local manifold of an equilibrium or an orbit, forwards or backwards in time.
 
-    Raises
-    ------
-    InputError
-        If there is none, or it cannot be computed.
+    Raise InputError if there is none, or it cannot be computed.
     """
     if isinstance(origin, PeriodicOrbit):
         return _of_orbit(origin, sign, wanted)

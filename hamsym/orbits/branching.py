@@ -36,14 +36,11 @@ def first_of_branch(
 ) -> PeriodicOrbit:
     """Compute an orbit of the family that leaves at a bifurcation.
 
+    Raise InputError if none is found.
+
     - beside: Another orbit of the family, near the bifurcation.
     - parameter: The parameter that varies along the family.
     - side: 1 or -1, the sense of the null vector.
-
-    Raises
-    ------
-    InputError
-        If no orbit is found.
     """
     for problem, arc, turns in _less_symmetric(found, parameter):
         share = turns * beside.period / problem.closing.parts

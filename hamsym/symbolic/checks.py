@@ -149,12 +149,7 @@ def state_symbol(
 
 
 def check_state(state: Sequence[sympy.Symbol], half: int, values: Mapping[str, float]) -> None:
-    """Refuse a state with unpaired or repeated components, or with a parameter in it.
-
-    Raises
-    ------
-    VariableError
-    """
+    """Raise VariableError of a state with unpaired or repeated components, or with a parameter."""
     if 2 * half != len(state) or not half:
         raise VariableError(
             f"{half} coordinates and {len(state) - half} momenta do not pair; give one p for each q"

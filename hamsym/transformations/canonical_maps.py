@@ -161,10 +161,7 @@ def _is_complex(solution: Mapping[sympy.Symbol, sympy.Expr]) -> bool:
 def _canonical(found: CanonicalMap) -> CanonicalMap:
     """The map, which must be canonical: that is decided by its Poisson brackets in symbols.
 
-    Raises
-    ------
-    InputError
-        Naming a pair with another bracket, or one that is not decided.
+    Raise InputError that names a pair with another bracket, or one that is not decided.
     """
     half = len(found.old) // 2
     pairs = itertools.combinations(range(len(found.old)), 2)
