@@ -137,11 +137,14 @@ def _diff(expr: sympy.Expr, symbol: sympy.Symbol) -> sympy.Expr:
 
 
 def _partial_derivatives(
-    term: sympy.Expr, symbols: Collection[sympy.Symbol]
+    term: sympy.Expr, symbols: Collection[sympy.Symbol], effort: Effort | None = None
 ) -> Iterator[tuple[sympy.Symbol, sympy.Expr]]:
     """Yield derivatives of a term with respect to the given symbols that it contains."""
     for symbol in term.free_symbols & symbols:
-        yield symbol, _product(_derivative(term, symbol))
+        derivative = _product(_derivative(term, symbol))
+        if effort:
+            effort.spend(derivative)
+        yield symbol, derivative
 
 
 class Effort:
@@ -194,9 +197,7 @@ def gradient(
     position = {variable: i for i, variable in enumerate(variables)}
     parts: list[list[sympy.Expr]] = [[] for _ in variables]
     for term in sympy.Add.make_args(expr):
-        for symbol, derivative in _partial_derivatives(term, position.keys()):
-            if effort:
-                effort.spend(derivative)
+        for symbol, derivative in _partial_derivatives(term, position.keys(), effort):
             parts[position[symbol]].append(derivative)
     return [sympy.Add(*part) for part in parts]
 
@@ -232,9 +233,7 @@ def hessian(
     for i, slope in enumerate(first):
         later = {variable: j for variable, j in position.items() if j >= i}
         for term in sympy.Add.make_args(slope):
-            for symbol, derivative in _partial_derivatives(term, later.keys()):
-                if effort:
-                    effort.spend(derivative)
+            for symbol, derivative in _partial_derivatives(term, later.keys(), effort):
                 parts[i, later[symbol]].append(derivative)
     entries: dict[tuple[int, int], sympy.Expr] = {}
     for (i, j), part in sorted(parts.items()):

@@ -166,26 +166,21 @@ def find_invariants(
     """
     limit = (time.monotonic() + seconds, seconds)
     bound = {symbol: value for symbol, value in values.items() if symbol in H.free_symbols}
+    trials = ({}, bound) if bound else ({},)
     found: list[Invariant] = []
-    refused: UnsupportedFunctionError | None = None
-    try:
-        search = _Search(H, z, time_symbol, degree, basis, [], limit)
-        found += [Invariant(*result) for result in search.run()]
-    except UnsupportedFunctionError as error:  # H may have rules with the values in exponents
-        refused = error
-    if bound:
-        exact = {symbol: rational(value) for symbol, value in bound.items()}
-        named = MappingProxyType({symbol.name: value for symbol, value in bound.items()})
+    refused: list[UnsupportedFunctionError] = []
+    for given in trials:
+        exact = {symbol: rational(value) for symbol, value in given.items()}
+        named = MappingProxyType({symbol.name: value for symbol, value in given.items()})
         known = [(own.expr.xreplace(exact), own.degree) for own in found]
         functions = [function.xreplace(exact) for function in basis]
         try:
             search = _Search(H.xreplace(exact), z, time_symbol, degree, functions, known, limit)
             found += [Invariant(*result, holds_for=named) for result in search.run()]
-            refused = None
-        except UnsupportedFunctionError as error:
-            refused = refused and error
-    if refused is not None:
-        raise refused
+        except UnsupportedFunctionError as error:  # H may have rules with the values in exponents
+            refused.append(error)
+    if len(refused) == len(trials):
+        raise refused[-1]
     return found
 
 

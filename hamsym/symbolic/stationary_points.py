@@ -11,6 +11,7 @@ only, so that each block is solved by itself.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 
 import sympy
@@ -67,10 +68,7 @@ def stationary_points(form: Equations) -> list[Solution] | None:
                 if not found:
                     return found
                 parts.append(found)
-            count = 1
-            for part in parts:
-                count *= len(part)
-            if count > _MOST:
+            if math.prod(map(len, parts)) > _MOST:
                 return None
             return [
                 {symbol: value for piece in pieces for symbol, value in piece.items()}
