@@ -40,8 +40,8 @@ class Observable:
         expr: sympy.Expr,
         function: sympy.Expr,
         *,
+        given: str,
         place: int | None = None,
-        given: str = "",
         written: Written | None = None,
     ) -> None:
         self.expr, self.function, self.place = expr, function, place
@@ -125,18 +125,10 @@ def observable_of(H: SymbolicHamiltonian, f: Any) -> Observable:
     extra = () if _ENERGY in known else (_ENERGY,)
     expr, written = brackets.written_function(f, known, extra)
     energy = {sympy.Symbol(_ENERGY, real=True): H.real_equations.expr} if extra else {}
-    function, back = expr.xreplace(energy), H.real_equations.back
+    function = expr.xreplace(energy)
+    expr, written = brackets.renamed(expr, written, H.real_equations.back)
     given = " ".join(f.split()) if isinstance(f, str) else ""
-    return Observable(
-        H,
-        expr.xreplace(back),
-        function,
-        given=given,
-        written={
-            total.xreplace(back): tuple(term.xreplace(back) for term in terms)
-            for total, terms in written.items()
-        },
-    )
+    return Observable(H, expr, function, given=given, written=written)
 
 
 def _component(place: int, dim: int) -> Callable[..., np.ndarray]:
