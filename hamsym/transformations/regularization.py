@@ -206,7 +206,6 @@ def regularize(
     symbols = dict(zip(H.names, form.z, strict=True))
     collision = Collision(
         tuple(symbol.name for symbol in u),
-        tuple(symbol.name for symbol in P),
         tuple(symbols[name] - place for name, place in places.items()),
         tuple(symbols[name] for name in momenta),
     )

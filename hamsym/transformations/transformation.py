@@ -6,7 +6,7 @@ Output: a :class:`Transformation` with the new Hamiltonian and the way there and
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -290,9 +290,7 @@ class _Reader:
                 hint = did_you_mean(name_of(key), H.names)
                 raise VariableError(f"H has no variable '{name_of(key)}'{hint}")
             known[name] = self._expression(value)
-        dof = H.dof
-        pairs = list(zip(H.names[:dof], H.names[dof:], strict=True))
-        moved = [pair for pair in pairs if pair[0] in known or pair[1] in known]
+        moved = self._moved(known.keys())
         whole = all(q in known and p in known for q, p in moved)
         if not whole and any(p in known for _, p in moved):
             raise InputError(
@@ -302,21 +300,15 @@ class _Reader:
         old = [q for q, _ in moved] + [p for _, p in moved]
         coordinates, momenta = self._new_names(known.values(), new, len(moved), old, whole)
         symbols = self._symbols([*coordinates, *momenta])
-        values = [
-            known[name].xreplace(self._by_name(known[name], symbols)) for name in old[: len(known)]
-        ]
+        values = [self._in(symbols, known[name]) for name in old[: len(known)]]
         reals = [sympy.Symbol(name, real=True) for name in old]
-        if whole:
-            return full_map(reals, symbols, values)
-        return point_map(reals, symbols, values)
+        return (full_map if whole else point_map)(reals, symbols, values)
 
     def generated(self, kind: str, function: Any, new: Any) -> CanonicalMap:
         """The map of a generating function."""
-        H, expr = self._H, self._expression(function)
+        expr = self._expression(function)
         names = {symbol.name for symbol in expr.free_symbols}
-        dof = H.dof
-        pairs = list(zip(H.names[:dof], H.names[dof:], strict=True))
-        moved = [pair for pair in pairs if names & {*pair}]
+        moved = self._moved(names)
         old = [q for q, _ in moved] + [p for _, p in moved]
         if not moved:
             raise InputError(f"{kind} contains no variable of H")
@@ -329,14 +321,20 @@ class _Reader:
         of_old, of_new = GENERATING[kind]
         half = len(moved)
         allowed = {*(old[:half] if of_old == "q" else old[half:])}
-        allowed |= {*(coordinates if of_new == "Q" else momenta), *H.parameter_names, TIME}
+        allowed |= {*(coordinates if of_new == "Q" else momenta), *self._H.parameter_names, TIME}
         for name in sorted(names - allowed):
             raise VariableError(
                 f"{kind} is a function of ({of_old}, {of_new}), which '{name}' is none of; give it "
                 f"in {', '.join(sorted(allowed - {TIME}))}"
             )
         reals = [sympy.Symbol(name, real=True) for name in old]
-        return generated_map(kind, expr.xreplace(self._by_name(expr, symbols)), reals, symbols)
+        return generated_map(kind, self._in(symbols, expr), reals, symbols)
+
+    def _moved(self, names: Collection[str]) -> list[tuple[str, str]]:
+        """The pairs of H of which a component is among some names."""
+        names_of_H, dof = self._H.names, self._H.dof
+        pairs = zip(names_of_H[:dof], names_of_H[dof:], strict=True)
+        return [pair for pair in pairs if {*pair} & {*names}]
 
     def plain(self, expr: sympy.Expr) -> sympy.Expr:
         """The expression in real symbols."""
@@ -361,9 +359,10 @@ class _Reader:
         ]
 
     @staticmethod
-    def _by_name(expr: sympy.Expr, symbols: Sequence[sympy.Symbol]) -> dict[Any, Any]:
+    def _in(symbols: Sequence[sympy.Symbol], expr: sympy.Expr) -> sympy.Expr:
+        """The expression with some symbols in place of those of the same names."""
         own = {symbol.name: symbol for symbol in symbols}
-        return {s: own[s.name] for s in expr.free_symbols if s.name in own}
+        return expr.xreplace({s: own[s.name] for s in expr.free_symbols if s.name in own})
 
     def _new_names(
         self, values: Any, new: Any, count: int, old: Sequence[str], whole: bool
@@ -412,8 +411,8 @@ def _with_hamiltonian(H: Hamiltonian, found: CanonicalMap, plain: Any) -> Transf
     """The transformation with its Hamiltonian, whose other pairs stay."""
     form, half = H.real_equations, len(found.old) // 2
     replaced = dict(zip((s.name for s in found.old), found.new, strict=True))
-    q = [replaced.get(name, sympy.Symbol(name, real=True)) for name in H.names[: H.dof]]
-    p = [replaced.get(name, sympy.Symbol(name, real=True)) for name in H.names[H.dof :]]
+    z = [replaced.get(name, sympy.Symbol(name, real=True)) for name in H.names]
+    q, p = z[: H.dof], z[H.dof :]
     expr = plain(transformed(form.expr, found) + found.rest)
     forces = {}
     if H.forces:
