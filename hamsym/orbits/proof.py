@@ -19,7 +19,7 @@ from operator import mul
 from typing import TYPE_CHECKING
 
 import numpy as np
-from flint import arb, arb_mat
+from flint import arb
 
 import hamsym
 from hamsym.errors import CertificationError
@@ -228,6 +228,7 @@ class _Proof:
             stability = proven_stability(reduced, power, forced=bool(orbit.H.forces))
         except ZeroDivisionError:  # which multipliers are trivial is not proven
             stability = "undecided"
+        monodromy = scaled(whole.tolist(), [1 / unit for unit in units]).entries()
         bound = system.distance(radii)
         statement = statement_of(problem, period, bound, unique, stability, system.pieces)
         return OrbitCertificate(
@@ -235,7 +236,7 @@ class _Proof:
             period,
             bound,
             unique,
-            _ball(scaled(whole.tolist(), [1 / unit for unit in units])),
+            Ball(*(np.array(part).reshape(whole.nrows(), -1) for part in float_balls(monodromy))),
             stability,
             system.pieces,
             time.monotonic() - self._began,
@@ -275,9 +276,3 @@ def _require_symmetry(problem: Problem) -> None:
         raise CertificationError("the symmetry of the orbit does not close an orbit")
     if not all(is_unchanged(H, one) for one in maps):
         raise CertificationError("H changes under the symmetry of the orbit")
-
-
-def _ball(matrix: arb_mat) -> Ball:
-    shape = matrix.nrows(), matrix.ncols()
-    middle, radius = float_balls(matrix.entries())
-    return Ball(np.array(middle).reshape(shape), np.array(radius).reshape(shape))
