@@ -97,10 +97,7 @@ class Observable:
 def observable_of(H: SymbolicHamiltonian, f: Any) -> Observable:
     """Return a component, or a formula in the names of H, as a function.
 
-    ``H`` in a formula is the energy, unless H has a symbol of this name.
-
-    Raise InputError if it is neither text nor a sympy expression. Raise ParseError, VariableError
-    if the text is no formula, or a name does not occur in H.
+    Raise the errors of :meth:`hamsym.Hamiltonian.observable`, but none where a value is missing.
 
     Examples
     --------

@@ -173,6 +173,7 @@ def _checked_box(H: Hamiltonian, box: Any) -> tuple[np.ndarray, np.ndarray]:
             raise InputError(
                 f"box must have an interval (low, high) for each of {', '.join(H.names)}"
             )
+    corners = []
     for name, ends in zip(H.names, intervals, strict=True):
         try:
             a, b = (float(end) for end in ends)
@@ -182,8 +183,9 @@ def _checked_box(H: Hamiltonian, box: Any) -> tuple[np.ndarray, np.ndarray]:
             raise InputError(
                 f"the interval {ends!r} of {name} cannot be used; give (low, high) with low < high"
             )
-    array = np.array([[float(end) for end in ends] for ends in intervals])
-    return array[:, 0], array[:, 1]
+        corners.append((a, b))
+    low, high = np.array(corners).T
+    return low, high
 
 
 def _by_default(H: Hamiltonian) -> Equilibria:

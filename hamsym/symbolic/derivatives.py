@@ -16,6 +16,7 @@ from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 import sympy
+from sympy.utilities.iterables import connected_components
 
 from hamsym.errors import CodeGenerationError
 
@@ -269,13 +270,7 @@ def connected_blocks(pairs: Sequence[tuple[int, int]], size: int) -> list[list[i
     >>> connected_blocks([(0, 2), (2, 0)], 3)
     [[0, 2], [1]]
     """
-    block = {i: [i] for i in range(size)}
-    for i, j in pairs:
-        if block[i] is not block[j]:
-            block[i].extend(block[j])
-            for k in block[j]:
-                block[k] = block[i]
-    return sorted({id(members): sorted(members) for members in block.values()}.values())
+    return sorted(map(sorted, connected_components((list(range(size)), pairs))))
 
 
 def smallest_singular_value(

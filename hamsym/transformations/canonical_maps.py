@@ -91,16 +91,10 @@ def point_map(old: Symbols, new: Symbols, coordinates: Sequence[sympy.Expr]) -> 
             )
         # p_i = sum_j P_j (dQ_j/dq_i)
         found = [
-            sympy.Add(
-                *(
-                    P * shorter(row[i] / determinant)
-                    for P, row in zip(momenta, entries, strict=True)
-                )
-            )
-            for i in range(half)
+            _sum_of_products(momenta, [shorter(entry / determinant) for entry in column])
+            for column in zip(*entries, strict=True)
         ]
-        rate = [sympy.diff(f, _TIME) for f in coordinates]
-        rest = -sympy.Add(*(p * v for p, v in zip(found, rate, strict=True)))
+        rest = -_sum_of_products(found, [sympy.diff(f, _TIME) for f in coordinates])
     return _canonical(CanonicalMap(tuple(old), tuple(new), (*coordinates, *found), shorter(rest)))
 
 
@@ -186,10 +180,11 @@ def _slopes_of_rest(formulas: Sequence[sympy.Expr], new: Symbols) -> list[sympy.
     half = len(formulas) // 2
     rates = [sympy.diff(f, _TIME) for f in formulas]
     turned = [*rates[half:], *(-rate for rate in rates[:half])]
-    return [
-        shorter(sympy.Add(*(sympy.diff(f, v) * r for f, r in zip(formulas, turned, strict=True))))
-        for v in new
-    ]
+    return [shorter(_sum_of_products([sympy.diff(f, v) for f in formulas], turned)) for v in new]
+
+
+def _sum_of_products(some: Sequence[sympy.Expr], others: Sequence[sympy.Expr]) -> sympy.Expr:
+    return sympy.Add(*(a * b for a, b in zip(some, others, strict=True)))
 
 
 def _integrated(slopes: Sequence[sympy.Expr], new: Symbols) -> sympy.Expr:

@@ -21,7 +21,7 @@ from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.support.shown import Shown
 from hamsym.support.suggestions import checked_keywords, did_you_mean, suggest_attributes
 from hamsym.support.validation import checked_numbers, shown
-from hamsym.symbolic.checks import as_list, checked_expression, name_of
+from hamsym.symbolic.checks import as_list, checked_expression, name_of, real_symbols
 from hamsym.symbolic.pairing import find_pairs, natural_order
 from hamsym.symbolic.variables import TIME
 from hamsym.transformations.canonical_maps import (
@@ -264,7 +264,7 @@ def transform(
         )
     reader = _Reader(H, positive)
     found = reader.generated(*functions.popitem(), new) if functions else reader.read(formulas, new)
-    return _with_hamiltonian(H, found, reader.plain)
+    return _with_hamiltonian(H, found)
 
 
 class _Reader:
@@ -336,14 +336,10 @@ class _Reader:
         pairs = zip(names_of_H[:dof], names_of_H[dof:], strict=True)
         return [pair for pair in pairs if {*pair} & {*names}]
 
-    def plain(self, expr: sympy.Expr) -> sympy.Expr:
-        """The expression in real symbols."""
-        return expr.xreplace({s: sympy.Symbol(s.name, real=True) for s in expr.free_symbols})
-
     def _expression(self, value: Any) -> sympy.Expr:
         if isinstance(value, str):
-            return self.plain(parse_expression(value))
-        return self.plain(checked_expression(value, "a formula"))
+            return _plain(parse_expression(value))
+        return _plain(checked_expression(value, "a formula"))
 
     def _symbols(self, names: Sequence[str]) -> list[sympy.Symbol]:
         unknown = self._positive - {canonical_name(name) for name in names}
@@ -407,13 +403,18 @@ class _Reader:
         return coordinates, momenta
 
 
-def _with_hamiltonian(H: Hamiltonian, found: CanonicalMap, plain: Any) -> Transformation:
+def _plain(expr: sympy.Expr) -> sympy.Expr:
+    """The expression in real symbols."""
+    return expr.xreplace(real_symbols(expr.free_symbols))
+
+
+def _with_hamiltonian(H: Hamiltonian, found: CanonicalMap) -> Transformation:
     """The transformation with its Hamiltonian, whose other pairs stay."""
     form, half = H.real_equations, len(found.old) // 2
     replaced = dict(zip((s.name for s in found.old), found.new, strict=True))
     z = [replaced.get(name, sympy.Symbol(name, real=True)) for name in H.names]
     q, p = z[: H.dof], z[H.dof :]
-    expr = plain(transformed(form.expr, found) + found.rest)
+    expr = _plain(transformed(form.expr, found) + found.rest)
     forces = {}
     if H.forces:
         old = {s.name: f for s, f in zip(found.old, found.formulas, strict=True)}
@@ -422,7 +423,7 @@ def _with_hamiltonian(H: Hamiltonian, found: CanonicalMap, plain: Any) -> Transf
         acting = {s.name: f for s, f in zip(form.z[H.dof :], form.forces, strict=True)}
         for name, momentum in zip(H.names[: H.dof], p, strict=True):
             if name not in old:
-                forces[momentum.name] = plain(transformed(acting[_pair(H, name)], found))
+                forces[momentum.name] = _plain(transformed(acting[_pair(H, name)], found))
         for Q, P in zip(found.new[:half], found.new[half:], strict=True):
             work = sympy.Add(
                 *(
@@ -430,18 +431,18 @@ def _with_hamiltonian(H: Hamiltonian, found: CanonicalMap, plain: Any) -> Transf
                     for symbol in found.old[:half]
                 )
             )
-            forces[P.name] = plain(transformed(work, found))
+            forces[P.name] = _plain(transformed(work, found))
     names = {s.name for s in expr.free_symbols}.union(
         *({s.name for s in force.free_symbols} for force in forces.values())
     )
     new = Hamiltonian(
         expr,
-        q=[plain(symbol) for symbol in q],
-        p=[plain(symbol) for symbol in p],
+        q=[_plain(symbol) for symbol in q],
+        p=[_plain(symbol) for symbol in p],
         parameters={name: value for name, value in H.parameters.items() if name in names},
         forces=forces,
     )
-    formulas = {s.name: plain(f) for s, f in zip(found.old, found.formulas, strict=True)}
+    formulas = {s.name: _plain(f) for s, f in zip(found.old, found.formulas, strict=True)}
     return Transformation(new, H, formulas, tuple(s.name for s in found.new if s.is_positive))
 
 
