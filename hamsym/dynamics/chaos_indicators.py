@@ -26,16 +26,18 @@ from typing import Any
 
 import numpy as np
 
-from hamsym.dynamics.growth import (
+from hamsym.dynamics.monodromy import reject_doubled, tangent_stepper
+from hamsym.dynamics.tangent_steps import (
     APART,
+    KEPT,
+    LOST,
     PARALLEL,
     STEPS_PER_RADIAN,
+    TangentSteps,
     first_vectors,
     growth_limit,
     orthonormal,
 )
-from hamsym.dynamics.monodromy import reject_doubled, tangent_stepper
-from hamsym.dynamics.tangent_steps import KEPT, LOST, TangentSteps
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.table import usual_method

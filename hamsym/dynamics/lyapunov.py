@@ -20,10 +20,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import hamsym
-from hamsym.dynamics.growth import APART, PARALLEL, first_vectors, growth_limit, orthonormal
 from hamsym.dynamics.lyapunov_map import LyapunovMap, lyapunov_map
 from hamsym.dynamics.monodromy import reject_doubled, tangent_stepper
-from hamsym.dynamics.tangent_steps import KEPT, LOST, TangentSteps
+from hamsym.dynamics.tangent_steps import (
+    APART,
+    KEPT,
+    LOST,
+    PARALLEL,
+    TangentSteps,
+    first_vectors,
+    growth_limit,
+    orthonormal,
+)
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.stepper import Stepper
@@ -163,12 +171,8 @@ class LyapunovExponents(Drawn, Shown):
         [1.0, -1.0]
         """
         columns = {f"exponent_{k + 1}": own for k, own in enumerate(self.exponents.T)}
-        return data_frame(columns, {"t": self.t}, self._attributes)
-
-    @property
-    def _attributes(self) -> dict[str, Any]:
         known = {"H": self.H.formulas, "start": self.span[0], "method": self.method, "dt": self.dt}
-        return {**known, "hamsym": hamsym.__version__}
+        return data_frame(columns, {"t": self.t}, {**known, "hamsym": hamsym.__version__})
 
 
 @checked_keywords
