@@ -216,7 +216,7 @@ def _by_default(H: Hamiltonian) -> Equilibria:
     if turns:
         each_period = ", ".join(f"{period} in {H.names[i]}" for i, period in periods(form).items())
         message += f"; all repeat with the period {each_period}"
-    return ordered(H, found, message)
+    return Equilibria(H, ordered(found), False, message)
 
 
 def _symbolic_only(H: Hamiltonian, solutions: Sequence[_Values]) -> Equilibria:
@@ -279,4 +279,4 @@ def _from_guesses(H: Hamiltonian, starts: np.ndarray) -> Equilibria:
     message = f"{counted(found)} from {len(starts):,} guess{'es' if len(starts) > 1 else ''}"
     if failed:
         message += f"; Newton's method did not converge from {failed:,} of them"
-    return ordered(H, found, message)
+    return Equilibria(H, ordered(found), False, message)

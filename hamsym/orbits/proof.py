@@ -27,7 +27,7 @@ from hamsym.orbits.arc import Problem
 from hamsym.orbits.certificate import OrbitCertificate, orbit_digest, statement_of
 from hamsym.orbits.orbit_check import check_orbit
 from hamsym.orbits.proven_stability import proven_stability
-from hamsym.orbits.quotients import Directions, scaled, shift_derivative
+from hamsym.orbits.quotients import Directions, ShiftDerivative, scaled
 from hamsym.orbits.square_system import Enclosed, SquareSystem
 from hamsym.orbits.symmetry import SignedPermutation, is_unchanged
 from hamsym.proof.arithmetic.ball import Ball
@@ -220,10 +220,11 @@ class _Proof:
         places = [vector_of(system.start(k, radii)) for k in range(system.pieces)]
         places.append(found.end(-1))
         maps = [scaled(matrix_of(matrix), units) for matrix in found.maps]
-        whole = shift_derivative(problem.closing, maps, units)
+        derivative = ShiftDerivative(problem.closing, maps, units)
+        whole = derivative.whole()
         try:
             across = Directions(problem, system.states[0], system.scale).at(places, units)
-            reduced = shift_derivative(problem.closing, maps, units, across)
+            reduced = derivative.across(across)
             power = reduce(mul, [whole] * problem.closing.order)
             stability = proven_stability(reduced, power, forced=bool(orbit.H.forces))
         except ZeroDivisionError:  # which multipliers are trivial is not proven
