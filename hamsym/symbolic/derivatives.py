@@ -413,32 +413,14 @@ def switches(
         high, low = sympy.Integer(1), sympy.Integer(-1 if isinstance(step, sympy.sign) else 0)
         jumps = [term.xreplace({step: high}) - term.xreplace({step: low}) for term in jumping]
         found.append((step.args[0], jumps))
-    for angle, jumps in _angle_jumps(expr, gradient, z):
+    for angle, jumps in angle_jumps(expr, gradient, z):
         if any(jump != 0 for jump in jumps[:-1]):
             beyond = sympy.Heaviside(-angle.args[1])  # the cut is the negative half of an axis
             found.append((angle.args[0], [beyond * jump for jump in jumps]))
     return found
 
 
-def has_angle_cut(
-    expr: sympy.Expr, gradient: Sequence[sympy.Expr], z: Sequence[sympy.Symbol]
-) -> bool:
-    """Whether H jumps by a constant at the cut of an angle atan2, and its gradient does not.
-
-    Examples
-    --------
-    >>> x, y = sympy.symbols("x y", real=True)
-    >>> angle = sympy.atan2(y, x)
-    >>> [has_angle_cut(H, gradient(H, (x, y)), (x, y)) for H in (angle, angle**2, x + y)]
-    [True, False, False]
-    """
-    return any(
-        jumps[-1] != 0 and all(jump == 0 for jump in jumps[:-1])
-        for _, jumps in _angle_jumps(expr, gradient, z)
-    )
-
-
-def _angle_jumps(
+def angle_jumps(
     expr: sympy.Expr, gradient: Sequence[sympy.Expr], z: Sequence[sympy.Symbol]
 ) -> Iterator[tuple[sympy.Expr, list[sympy.Expr]]]:
     """Jumps of the gradient, then of H, at the cut of each angle atan2."""

@@ -206,8 +206,17 @@ class Equations(Shown):
 
     @cached_property
     def has_angle_cut(self) -> bool:
-        """Whether H jumps at the cut of an angle atan2, at which the equations are smooth."""
-        return derivatives.has_angle_cut(self.expr, self.slopes, self.z)
+        """Whether H jumps at the cut of an angle atan2, at which the equations are smooth.
+
+        Examples
+        --------
+        >>> x, p = sympy.symbols("x p", real=True)
+        >>> angle = sympy.atan2(p, x)
+        >>> [Equations(H, [x, p], None, {}).has_angle_cut for H in (angle, angle**2, x + p)]
+        [True, False, False]
+        """
+        jumps = (each for _, each in derivatives.angle_jumps(self.expr, self.slopes, self.z))
+        return any(jump != 0 and all(slope == 0 for slope in slopes) for *slopes, jump in jumps)
 
     def resting(self, z: Sequence[float], candidates: Iterable[int]) -> list[int]:
         """Components that keep exactly their values in a state, among candidates.
