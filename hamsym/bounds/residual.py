@@ -141,7 +141,12 @@ class ExcessSearch:
                 if len(parts) > most:
                     break
                 parts = parts.halves()
-            return self._with_unknown(parts)
+            # Those with parts that stayed undecided, too.
+            some = np.unique(parts.window, return_index=True)[1]
+            middle = self.trial(parts[some]).t[:, PLACES // 2]
+            rows = zip(parts[some].window, middle, parts[some].width, strict=True)
+            self._add([Excess(int(w), float(t), math.inf, float(width)) for w, t, width in rows])
+            return self._found
 
     def _undecided(self, parts: Parts) -> Parts:
         """Judge parts of one generation; return those that neither pass nor fail."""
@@ -177,14 +182,6 @@ class ExcessSearch:
         if self.first_only and self._found:
             kept &= window < self._found[0].window
         return parts[kept]
-
-    def _with_unknown(self, parts: Parts) -> list[Excess]:
-        """Return what was found, with the windows of parts that stayed undecided."""
-        some = np.unique(parts.window, return_index=True)[1]
-        middle = self.trial(parts[some]).t[:, PLACES // 2]
-        rows = zip(parts[some].window, middle, parts[some].width, strict=True)
-        self._add([Excess(int(w), float(t), math.inf, float(width)) for w, t, width in rows])
-        return self._found
 
     def _add(self, some: list[Excess]) -> None:
         self._found = sorted((*self._found, *some))

@@ -265,15 +265,13 @@ def _require_symmetry(problem: Problem) -> None:
     H, closing = problem.H, problem.closing
     if H.forces and closing.parts > 1:
         raise CertificationError("forces may not share the symmetry of the orbit; leave it out")
-    identity = SignedPermutation.identity(H.dim)
-    if closing.first is not None and closing.last is not None:
-        maps = {closing.first, closing.last}
-        fits = all(one.time_direction == -1 and one.order == 2 for one in maps)
-        fits = fits and closing.shift == closing.last.after(closing.first)
-    else:
-        maps = {closing.shift} - {identity}
-        fits = closing.first is closing.last and closing.shift.time_direction == 1
-    if not (fits and (problem.autonomous or closing.parts == 1)):
+    try:
+        closing.check()
+        fits = problem.autonomous or closing.parts == 1
+    except ValueError:
+        fits = False
+    if not fits:
         raise CertificationError("the symmetry of the orbit does not close an orbit")
-    if not all(is_unchanged(H, one) for one in maps):
+    maps = {one for one in (closing.first, closing.last) if one is not None} or {closing.shift}
+    if not all(is_unchanged(H, one) for one in maps - {SignedPermutation.identity(H.dim)}):
         raise CertificationError("H changes under the symmetry of the orbit")
