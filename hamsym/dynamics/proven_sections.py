@@ -28,7 +28,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from fractions import Fraction
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -128,22 +127,17 @@ class SectionCertificate(Shown):
         if again.statement != self.statement or again.rising.tolist() != self.rising.tolist():
             raise CertificationError(f"'{self.statement}' is not proven: {again.statement}")
         for name in ("t", "z", "derivative"):
-            if not is_within(getattr(again, name), getattr(self, name)):
+            if not _inside(getattr(again, name), getattr(self, name)):
                 raise CertificationError(f"the balls of {name} are narrower than the proof gives")
 
 
-def is_within(inner: Ball, outer: Ball) -> bool:
-    """Whether every number of a ball is in another one, decided exactly."""
+def _inside(inner: Ball, outer: Ball) -> bool:
+    """Whether balls lie in others, entry by entry."""
     if np.shape(inner.mid) != np.shape(outer.mid):
         return False
-    numbers = (
-        np.ravel(part).tolist() for ball in (inner, outer) for part in (ball.mid, ball.radius)
-    )
-    return all(
-        np.isfinite(r) and abs(Fraction(a) - Fraction(b)) + Fraction(r) <= Fraction(s)
-        for a, r, b, s in zip(*numbers, strict=True)
-        if np.isfinite(s)
-    )
+    pairs = zip(_flat(inner), _flat(outer), strict=True)
+    with working(_BITS):
+        return all(bool(b.contains(a)) for a, b in pairs)
 
 
 def prove_section(
@@ -511,6 +505,10 @@ class _Path:
 
 def _dot(row: Sequence[arb], column: Sequence[arb]) -> arb:
     return sum((a * b for a, b in zip(row, column, strict=True)), arb(0))
+
+
+def _flat(ball: Ball) -> _Vector:
+    return vector_of(Ball(np.ravel(ball.mid), np.ravel(ball.radius)))
 
 
 def _stacked(entries: Sequence[Any], shape: tuple[int, ...]) -> Ball:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from fractions import Fraction
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
 import hamsym
-from hamsym.dynamics.proven_sections import is_within
 from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.formula.parser import check_name
 from hamsym.hamiltonian import Hamiltonian
@@ -111,9 +111,9 @@ class OrbitCertificate(SealedText):
         self._require_form(orbit)
         found = hamsym.prove_orbit(orbit, time_limit=time_limit)
         proven = {
-            "z0": is_within(found.z0, self.z0),
-            "period": is_within(found.period, self.period),
-            "monodromy": is_within(found.monodromy, self.monodromy),
+            "z0": _is_within(found.z0, self.z0),
+            "period": _is_within(found.period, self.period),
+            "monodromy": _is_within(found.monodromy, self.monodromy),
             "bound": found.bound <= self.bound,
             "unique_within": self.unique_within <= found.unique_within,
             "stability": self.stability in (found.stability, *WEAKER[found.stability]),
@@ -145,6 +145,20 @@ class OrbitCertificate(SealedText):
         numbers = self.period, self.bound, self.unique_within, self.stability, self.pieces
         if self.statement != statement_of(orbit.problem, *numbers):
             raise CertificationError("the statement of the certificate does not match its numbers")
+
+
+def _is_within(inner: Ball, outer: Ball) -> bool:
+    """Whether every number of a ball is in another one, decided exactly."""
+    if np.shape(inner.mid) != np.shape(outer.mid):
+        return False
+    numbers = (
+        np.ravel(part).tolist() for ball in (inner, outer) for part in (ball.mid, ball.radius)
+    )
+    return all(
+        np.isfinite(r) and abs(Fraction(a) - Fraction(b)) + Fraction(r) <= Fraction(s)
+        for a, r, b, s in zip(*numbers, strict=True)
+        if np.isfinite(s)
+    )
 
 
 # -- what is claimed, in words ---------------------------------------------------------------------
