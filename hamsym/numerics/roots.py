@@ -25,17 +25,17 @@ _SAME_SIGNS = -1  # status of scipy for a bracket whose ends have one sign
 Functions = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
-def sign_changes(values: np.ndarray, direction: float = 0.0) -> tuple[np.ndarray, ...]:
-    """Return indices (..., i) where values, shape (..., n), change their sign from i to i + 1.
+def sign_changes(values: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return indices (..., i) where values, shape (..., n), change their sign from i to i + 1."""
+    return np.nonzero(changes(values[..., :-1], values[..., 1:]))
+
+
+def changes(before: np.ndarray, after: np.ndarray, direction: float = 0.0) -> np.ndarray:
+    """Whether a sign changes from before to after.
 
     A zero belongs to the interval that ends there, and is therefore counted once. A direction above
     zero selects rising values, below zero falling ones.
     """
-    return np.nonzero(changes(values[..., :-1], values[..., 1:], direction))
-
-
-def changes(before: np.ndarray, after: np.ndarray, direction: float = 0.0) -> np.ndarray:
-    """Whether a sign changes from before to after, as in :func:`sign_changes`."""
     rising, falling = (before < 0) & (after >= 0), (before > 0) & (after <= 0)
     if direction > 0:
         return rising
@@ -71,7 +71,7 @@ def zeros(
       index.
     - before, after: Values at the ends of the intervals, shape (k,).
     - dips: Whether an interval begins and ends on one side of zero, shape (k,).
-    - direction: As in :func:`sign_changes`.
+    - direction: As in :func:`changes`.
     - returns share, index: Shape (n,), in the order of the intervals and within them.
     """
     whole, dip = np.flatnonzero(~dips), np.flatnonzero(dips)
