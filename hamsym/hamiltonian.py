@@ -571,8 +571,7 @@ variables, not 1
     @cached_property
     def kernels(self) -> System:
         """The numba module of H with parameters as arguments: the same code for all values."""
-        free = self.real_equations.with_values(dict.fromkeys(self.parameter_names))
-        return load(generate(free, "numba"))
+        return load(generate(self.real_equations.free, "numba"))
 
 
 #: Type of the argument H of the solvers; see :meth:`Hamiltonian.of`.

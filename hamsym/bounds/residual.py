@@ -43,6 +43,10 @@ _EPS = 2.0**-52
 _TINY = np.finfo(float).tiny
 
 
+#: (z, t, window) -> F at points, shapes (n, dim), (n,), (n,) -> (n, dim).
+Rates = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+
 class Places(NamedTuple):
     """A trial solution at the places of parts of windows."""
 
@@ -100,8 +104,7 @@ class ExcessSearch:
     """The search for windows whose residual may exceed its limit."""
 
     programs: Programs
-    #: (z, t, window) -> F at points, shapes (n, dim), (n,), (n,) -> (n, dim).
-    rates: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+    rates: Rates
     #: The trial solution, of polynomials of a degree up to that of models in each part.
     trial: Callable[[Parts], Places]
     #: Start and end of each window, shape (2, windows).
@@ -138,7 +141,12 @@ class ExcessSearch:
                 if len(parts) > most:
                     break
                 parts = parts.halves()
-            return self._with_unknown(parts)
+            # Those with parts that stayed undecided, too.
+            some = np.unique(parts.window, return_index=True)[1]
+            middle = self.trial(parts[some]).t[:, PLACES // 2]
+            rows = zip(parts[some].window, middle, parts[some].width, strict=True)
+            self._add([Excess(int(w), float(t), math.inf, float(width)) for w, t, width in rows])
+            return self._found
 
     def _undecided(self, parts: Parts) -> Parts:
         """Judge parts of one generation; return those that neither pass nor fail."""
@@ -175,14 +183,6 @@ class ExcessSearch:
             kept &= window < self._found[0].window
         return parts[kept]
 
-    def _with_unknown(self, parts: Parts) -> list[Excess]:
-        """Return what was found, with the windows of parts that stayed undecided."""
-        some = np.unique(parts.window, return_index=True)[1]
-        middle = self.trial(parts[some]).t[:, PLACES // 2]
-        rows = zip(parts[some].window, middle, parts[some].width, strict=True)
-        self._add([Excess(int(w), float(t), math.inf, float(width)) for w, t, width in rows])
-        return self._found
-
     def _add(self, some: list[Excess]) -> None:
         self._found = sorted((*self._found, *some))
         if self.first_only:
@@ -206,11 +206,12 @@ class ExcessSearch:
         large = np.flatnonzero(~(upper <= np.maximum(parts.width, SHARE)))
         if len(large):
             some, at = parts[large], Places(*(array[large] for array in places))
-            rounded, own = self.noise * _round_off(self.rates, at, some), weight[large, None]
+            rates, own = _rates_at(self.rates, at.z, at.t, some), weight[large, None]
+            rounded = self.noise * _round_off(self.rates, at, some, rates)
             if self.rounding is not None:
                 rounded = np.maximum(rounded, formula[large])
             rounded = np.where(rounded < math.inf, rounded, 0.0)  # infinite or NaN excuses nothing
-            found = _residuals(self.rates, at, some)
+            found = np.abs(at.rates - rates)
             upper[large] = largest_ratios(
                 np.maximum(bounds[large] - rounded, 0.0) * own, limits[large]
             )
@@ -251,32 +252,24 @@ def _is_short_polynomial(form: Equations) -> bool:
     )
 
 
-def _residuals(
-    rates: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray], places: Places, parts: Parts
-) -> np.ndarray:
-    """Evaluate the residual at the places, shape (parts, PLACES, dim)."""
-    count, _, dim = places.z.shape
+def _rates_at(rates: Rates, z: np.ndarray, t: np.ndarray, parts: Parts) -> np.ndarray:
+    """Evaluate the rates at places of parts, shape (parts, PLACES, dim)."""
     window = np.repeat(parts.window, PLACES)
-    found = rates(places.z.reshape(-1, dim), places.t.ravel(), window)
-    return np.asarray(np.abs(places.rates - found.reshape(count, PLACES, dim)))
+    return rates(z.reshape(-1, z.shape[2]), t.ravel(), window).reshape(z.shape)
 
 
-def _round_off(
-    rates: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray], places: Places, parts: Parts
-) -> np.ndarray:
-    """Measure the change of the rates for one unit in the last place of states and times.
+def _round_off(rates: Rates, places: Places, parts: Parts, known: np.ndarray) -> np.ndarray:
+    """Measure the change of known rates for one unit in the last place of states and times.
 
     It is the median over each part, since at a narrow feature the rates change by far more; shape
     (parts, dim).
     """
-    count, _, dim = places.z.shape
-    window = np.repeat(parts.window, PLACES)
     generator = np.random.default_rng(0)
-    z, t = places.z.reshape(-1, dim), places.t.ravel()
-    disturbed = z * (1 + _EPS * generator.choice((-1.0, 1.0), size=z.shape))
-    late = t * (1 + _EPS * generator.choice((-1.0, 1.0), size=t.shape))
-    change = np.abs(rates(disturbed, late, window) - rates(z, t, window))
-    return np.asarray(np.median(change.reshape(count, PLACES, dim), axis=1))
+    z, t = (
+        part * (1 + _EPS * generator.choice((-1.0, 1.0), size=part.shape))
+        for part in (places.z, places.t)
+    )
+    return np.asarray(np.median(np.abs(_rates_at(rates, z, t, parts) - known), axis=1))
 
 
 def largest_ratios(values: np.ndarray, limits: np.ndarray) -> np.ndarray:

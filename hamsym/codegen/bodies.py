@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import sympy
 
@@ -104,6 +105,11 @@ class Looped:
     rest: Body
 
 
+def _body_of(expressions: Callable[[Equations], Sequence[sympy.Expr]]) -> Any:
+    """An attribute of bodies: that of some expressions of the equations."""
+    return cached_property(lambda bodies: bodies._body(expressions(bodies._form)))
+
+
 class Bodies:
     """Bodies of all generated functions, each generated on first access."""
 
@@ -112,17 +118,10 @@ class Bodies:
 
     # -- functions of the state --------------------------------------------------------------
 
-    @cached_property
-    def energy(self) -> Body:
-        return self._body([self._form.expr])
-
-    @cached_property
-    def gradient(self) -> Body:
-        return self._body(self._form.gradient)
-
-    @cached_property
-    def vector_field(self) -> Body:
-        return self._body(self._form.vector_field)
+    energy = _body_of(lambda form: [form.expr])
+    gradient = _body_of(lambda form: form.gradient)
+    vector_field = _body_of(lambda form: form.vector_field)
+    power = _body_of(lambda form: [form.power])  # dH/dt along trajectories
 
     @cached_property
     def hessian(self) -> Body:
@@ -150,11 +149,6 @@ class Bodies:
         return [[entries.get((i, j), "zero") for j in dim] for i in dim]
 
     @cached_property
-    def power(self) -> Body:
-        """dH/dt along trajectories."""
-        return self._body([self._form.power])
-
-    @cached_property
     def residual(self) -> Body:
         """Components of the residual, derivative first: ``"dp + x + x**3"``."""
         printer = self._printer(self._form.z, self._names.of)
@@ -170,20 +164,9 @@ class Bodies:
 
     # -- kernels of the integrators ----------------------------------------------------------
 
-    @cached_property
-    def velocity(self) -> Body:
-        """dH/dp."""
-        return self._body(self._form.gradient[self._form.dof :])
-
-    @cached_property
-    def slope(self) -> Body:
-        """dH/dq - F, the negative rates of the momenta."""
-        return self._body(self._form.slopes[: self._form.dof])
-
-    @cached_property
-    def force(self) -> Body:
-        """-dH/dq + F."""
-        return self._body(self._form.vector_field[self._form.dof :])
+    velocity = _body_of(lambda form: form.gradient[form.dof :])  # dH/dp
+    slope = _body_of(lambda form: form.slopes[: form.dof])  # dH/dq - F
+    force = _body_of(lambda form: form.vector_field[form.dof :])  # -dH/dq + F
 
     @cached_property
     def curvature(self) -> Body:

@@ -80,12 +80,17 @@ def compile_straight_line(
 
 def _compiled(source: str) -> Callable[..., Any]:
     """The function ``values`` of a module."""
-    filename = f"<hamsym functions {hashlib.sha256(source.encode()).hexdigest()[:12]}>"
-    # Tracebacks show the source; an entry with mtime None is kept by linecache.checkcache.
-    linecache.cache[filename] = (len(source), None, source.splitlines(keepends=True), filename)
     namespace: dict[str, Any] = {}
-    exec(compile(source, filename, "exec"), namespace)  # noqa: S102
+    execute(source, "functions", namespace)
     return with_numbers_of_numpy(namespace["values"])
+
+
+def execute(source: str, name: str, namespace: dict[str, Any]) -> None:
+    """Execute a source without a file; tracebacks show it."""
+    filename = f"<hamsym {name} {hashlib.sha256(source.encode()).hexdigest()[:12]}>"
+    # An entry with mtime None is kept by linecache.checkcache.
+    linecache.cache[filename] = (len(source), None, source.splitlines(keepends=True), filename)
+    exec(compile(source, filename, "exec"), namespace)  # noqa: S102
 
 
 def with_numbers_of_numpy(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -112,14 +112,18 @@ class Source:
     @property
     def text(self) -> str:
         """Text of the whole module."""
-        row = self._row
-        parts = {"head", *row.functions, *(row.forced if self.form.forces else ())}
-        if row.has_loops:
+        parts = {"head", *self.functions}
+        if self._row.has_loops:
             unused = _NOT_SEPARABLE if self.form.is_separable else _ONLY_SEPARABLE
             if self.form.forces:
                 unused = unused | _NOT_FORCED
             parts |= _STEP_PARTS.keys() - unused
         return self._joined(parts)
+
+    @property
+    def functions(self) -> tuple[str, ...]:
+        """Names of the functions of the module."""
+        return (*self._row.functions, *(self._row.forced if self.form.forces else ()))
 
     def module(self, function: str) -> str:
         """Text of a module with one function and its dependencies."""
@@ -145,9 +149,8 @@ class Source:
 
         Raise InputError if the module has no function of this name.
         """
-        row = self._row
-        own = (*row.functions, *(row.forced if self.form.forces else ()), *row.hidden)
-        if row.extension == "py":
+        own = (*self.functions, *self._row.hidden)
+        if self._row.extension == "py":
             return extract(self.part(name) if name in own else self.text, name)
         if name not in own:
             raise _unknown_function(name, own)
@@ -209,7 +212,7 @@ class _Page:
 
     def __init__(self, source: Source) -> None:
         form, names = source.form, source.names
-        self._form, self.backend = form, source.backend
+        self._form, self.backend, self._functions = form, source.backend, source.functions
         self.bodies: Any = (
             StraightLines(form, names)
             if source.backend == "balls"
@@ -282,9 +285,8 @@ class _Page:
     @cached_property
     def identifiers(self) -> frozenset[str]:
         """All names in the expressions of all functions."""
-        row = BACKENDS[self.backend]
-        functions = (*row.functions, *(row.forced if self.forced else ()))
-        return frozenset().union(*(getattr(self.bodies, name).identifiers for name in functions))
+        bodies = (getattr(self.bodies, name) for name in self._functions)
+        return frozenset().union(*(body.identifiers for body in bodies))
 
     @cached_property
     def textbook(self) -> bool:
@@ -374,11 +376,8 @@ def environment() -> jinja2.Environment:
         keep_trailing_newline=True,
         autoescape=False,  # the output is code, with checked names
     )
-    environment.filters["filled"] = _filled
-    environment.filters["wrapped"] = _wrapped
-    environment.filters["listed"] = _listed
-    environment.filters["tupled"] = _tupled
-    environment.filters["unpacked"] = _unpacked
+    filters = (_filled, _wrapped, _listed, _tupled, _unpacked)
+    environment.filters |= {each.__name__[1:]: each for each in filters}
     return environment
 
 
@@ -433,11 +432,8 @@ def _listed(items: Sequence[str], indent: int, before: int = 0) -> str:
 
 def _tupled(text: str, indent: int) -> str:
     """Put results in parentheses unless they already are."""
-    return (
-        text
-        if text.startswith("(") and text.endswith((",)", "\n" + " " * indent + ")"))
-        else f"({text})"
-    )
+    tupled = text.startswith("(") and text.endswith((",)", "\n" + " " * indent + ")"))
+    return text if tupled else f"({text})"
 
 
 def _unpacked(names: Sequence[str], indent: int) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import sympy
@@ -47,7 +48,6 @@ class Names:
 
     def temporaries(self, letter: str = "u") -> Iterator[sympy.Symbol]:
         """Yield symbols u0, u1, ... that differ from all names of the user."""
-        for number in range(10**9):
+        for number in itertools.count():
             if f"{letter}{number}" not in self._taken:
                 yield sympy.Symbol(f"{letter}{number}", real=True)
-        raise AssertionError("unreachable")

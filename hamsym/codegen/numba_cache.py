@@ -79,7 +79,8 @@ def load_module(source: str, name: str) -> ModuleType:
 
     The given text is executed, never the stored file or bytecode next to it.
     """
-    path = source_file(source, name)
+    digest = hashlib.sha256(source.encode()).hexdigest()[:16]
+    path = cache_directory() / f"{name}_{digest}.py"
     if not _is_stored(path, source):
         write_atomically(path, source.encode())
         _prune(path.parent)
@@ -164,8 +165,3 @@ def _prune(folder: Path) -> None:
                 total -= size
     except OSError:  # for example: another process has removed a file
         return
-
-
-def source_file(source: str, name: str) -> Path:
-    digest = hashlib.sha256(source.encode()).hexdigest()[:16]
-    return cache_directory() / f"{name}_{digest}.py"

@@ -40,8 +40,8 @@ class Observable:
         expr: sympy.Expr,
         function: sympy.Expr,
         *,
+        given: str,
         place: int | None = None,
-        given: str = "",
         written: Written | None = None,
     ) -> None:
         self.expr, self.function, self.place = expr, function, place
@@ -97,10 +97,7 @@ class Observable:
 def observable_of(H: SymbolicHamiltonian, f: Any) -> Observable:
     """Return a component, or a formula in the names of H, as a function.
 
-    ``H`` in a formula is the energy, unless H has a symbol of this name.
-
-    Raise InputError if it is neither text nor a sympy expression. Raise ParseError, VariableError
-    if the text is no formula, or a name does not occur in H.
+    Raise the errors of :meth:`hamsym.Hamiltonian.observable`, but none where a value is missing.
 
     Examples
     --------
@@ -125,18 +122,10 @@ def observable_of(H: SymbolicHamiltonian, f: Any) -> Observable:
     extra = () if _ENERGY in known else (_ENERGY,)
     expr, written = brackets.written_function(f, known, extra)
     energy = {sympy.Symbol(_ENERGY, real=True): H.real_equations.expr} if extra else {}
-    function, back = expr.xreplace(energy), H.real_equations.back
+    function = expr.xreplace(energy)
+    expr, written = brackets.renamed(expr, written, H.real_equations.back)
     given = " ".join(f.split()) if isinstance(f, str) else ""
-    return Observable(
-        H,
-        expr.xreplace(back),
-        function,
-        given=given,
-        written={
-            total.xreplace(back): tuple(term.xreplace(back) for term in terms)
-            for total, terms in written.items()
-        },
-    )
+    return Observable(H, expr, function, given=given, written=written)
 
 
 def _component(place: int, dim: int) -> Callable[..., np.ndarray]:

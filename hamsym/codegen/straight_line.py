@@ -98,7 +98,6 @@ class StraightLines:
                 "Taylor series there; use another backend"
             )
         self._form, self._names = form, names
-        self._values = {s: value for s, value in form.parameters.values() if value is not None}
         self.inserted = inserted_parameters(form)
         parameters = [
             keyword
@@ -143,7 +142,7 @@ class StraightLines:
         return self._line(list(exact.values()), list(exact))
 
     def _exact(self, entry: sympy.Expr) -> sympy.Expr:
-        return self._form.exact.with_fractions(entry, self._values)
+        return self._form.exact.with_fractions(entry, self._form.values)
 
     def _line(
         self, entries: Sequence[sympy.Expr], indices: Sequence[tuple[int, ...]] = ()

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import functools
-import hashlib
 import importlib.util
-import linecache
 from collections.abc import Callable
 from functools import cached_property
 from types import ModuleType
@@ -14,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hamsym.codegen.backends import BACKENDS
-from hamsym.codegen.functions import with_numbers_of_numpy
+from hamsym.codegen.functions import execute, with_numbers_of_numpy
 from hamsym.codegen.generate import Source, generate
 from hamsym.errors import InputError
 from hamsym.numerics.symplectic import generators
@@ -124,7 +122,8 @@ class System(Shown):
             return self._compiled[name]
         for part in self._source.needed(name):
             if part not in self._loaded:
-                _run(self._source.part(part), self.backend, part, self._module)
+                about = f"{self.backend} {part}"
+                execute(self._source.part(part), about, self._module.__dict__)
                 self._loaded.add(part)
                 if self.backend == "numpy" and hasattr(self._module, part):
                     with_numbers_of_numpy(getattr(self._module, part))
@@ -180,12 +179,3 @@ def _tensor_generators(hessians: Any) -> Any:
 
 def _restored(form: Equations, backend: str) -> System:
     return load(generate(form, backend))
-
-
-def _run(text: str, backend: str, part: str, module: ModuleType) -> None:
-    """Execute a part of a module without a file, with its source registered for tracebacks."""
-    digest = hashlib.sha256(text.encode()).hexdigest()[:12]
-    filename = f"<hamsym {backend} {part} {digest}>"
-    # An entry with mtime None is kept by linecache.checkcache.
-    linecache.cache[filename] = (len(text), None, text.splitlines(keepends=True), filename)
-    exec(compile(text, filename, "exec"), module.__dict__)

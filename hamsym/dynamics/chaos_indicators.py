@@ -26,16 +26,18 @@ from typing import Any
 
 import numpy as np
 
-from hamsym.dynamics.growth import (
+from hamsym.dynamics.monodromy import reject_doubled, tangent_stepper
+from hamsym.dynamics.tangent_steps import (
     APART,
+    KEPT,
+    LOST,
     PARALLEL,
     STEPS_PER_RADIAN,
+    TangentSteps,
     first_vectors,
     growth_limit,
     orthonormal,
 )
-from hamsym.dynamics.monodromy import reject_doubled, tangent_stepper
-from hamsym.dynamics.tangent_steps import KEPT, LOST, TangentSteps
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.table import usual_method
@@ -254,13 +256,12 @@ def chaos_indicators(
     if vectors > H.dim:
         raise InputError(f"vectors={vectors} cannot be used; z has {H.dim} components")
     reject_doubled(H, method)
-    states = H.states_from(z0)
-    if states.ndim > 1:
+    state = H.states_from(z0)
+    if state.ndim > 1:
         raise InputError(
-            f"z0 has the shape {states.shape}; give one start, or compute the exponents of all "
+            f"z0 has the shape {state.shape}; give one start, or compute the exponents of all "
             "with hamsym.lyapunov"
         )
-    state = H.state_from(z0)
     plan = TangentSteps.choose(H, method, state, span, steps, dt)
     began = time.perf_counter()
     run = _Indicators(plan, state, first_vectors(H.dim, vectors, seed))

@@ -173,6 +173,7 @@ def _checked_box(H: Hamiltonian, box: Any) -> tuple[np.ndarray, np.ndarray]:
             raise InputError(
                 f"box must have an interval (low, high) for each of {', '.join(H.names)}"
             )
+    corners = []
     for name, ends in zip(H.names, intervals, strict=True):
         try:
             a, b = (float(end) for end in ends)
@@ -182,8 +183,9 @@ def _checked_box(H: Hamiltonian, box: Any) -> tuple[np.ndarray, np.ndarray]:
             raise InputError(
                 f"the interval {ends!r} of {name} cannot be used; give (low, high) with low < high"
             )
-    array = np.array([[float(end) for end in ends] for ends in intervals])
-    return array[:, 0], array[:, 1]
+        corners.append((a, b))
+    low, high = np.array(corners).T
+    return low, high
 
 
 def _by_default(H: Hamiltonian) -> Equilibria:
@@ -214,7 +216,7 @@ def _by_default(H: Hamiltonian) -> Equilibria:
     if turns:
         each_period = ", ".join(f"{period} in {H.names[i]}" for i, period in periods(form).items())
         message += f"; all repeat with the period {each_period}"
-    return ordered(H, found, message)
+    return Equilibria(H, ordered(found), False, message)
 
 
 def _symbolic_only(H: Hamiltonian, solutions: Sequence[_Values]) -> Equilibria:
@@ -277,4 +279,4 @@ def _from_guesses(H: Hamiltonian, starts: np.ndarray) -> Equilibria:
     message = f"{counted(found)} from {len(starts):,} guess{'es' if len(starts) > 1 else ''}"
     if failed:
         message += f"; Newton's method did not converge from {failed:,} of them"
-    return ordered(H, found, message)
+    return Equilibria(H, ordered(found), False, message)

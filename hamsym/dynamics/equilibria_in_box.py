@@ -53,8 +53,7 @@ def all_in_box(
     cyclic = [i for i, entry in enumerate(gradient) if _is_zero(entry, form.z)]
     is_curved = any(continues(finder.candidates, z) for z in singular[:8]) and not cyclic
     finest = _COARSE if is_curved else _FINEST
-    parts: list[list[Root]] = []
-    places: list[list[int]] = []
+    parts: list[tuple[list[int], list[Root]]] = []
     undecided: list[Undecided] = []
     used = 0
     for block in blocks(form):
@@ -71,10 +70,9 @@ def all_in_box(
             roots, left = search.roots, search.undecided
         if not roots and not left:  # then there are none at all
             return Equilibria(H, (), True, _box_message([], [], used), (), used)
-        parts.append(roots)
-        places.append(block)
+        parts.append((block, roots))
         undecided += [_whole(part, block, low, high) for part in left]
-    found, outside = _combined(finder, balls, parts, places, cyclic, low, high)
+    found, outside = _combined(finder, balls, parts, cyclic, low, high)
     undecided += outside
     regions = _merged(H, undecided, _APART * (high - low))
     if regions:
@@ -82,7 +80,7 @@ def all_in_box(
         more = converged_points(finder.candidates, centres[:64])
         _add_undecided(found, finder, np.concatenate((inside, more)), regions)
     message = _box_message(found, regions, used)
-    return ordered(H, found, message, not regions, tuple(regions), used)
+    return Equilibria(H, ordered(found), not regions, message, tuple(regions), used)
 
 
 def _is_zero(slope: sympy.Expr, z: Sequence[sympy.Symbol]) -> bool:
@@ -108,24 +106,23 @@ def _whole(part: Undecided, block: list[int], low: np.ndarray, high: np.ndarray)
 def _combined(
     finder: Finder,
     balls: DerivativeBalls,
-    parts: list[list[Root]],
-    places: list[list[int]],
+    parts: list[tuple[list[int], list[Root]]],
     cyclic: list[int],
     low: np.ndarray,
     high: np.ndarray,
 ) -> tuple[list[Equilibrium], list[Undecided]]:
     """Equilibria from the zeros in each block, and those at which H itself is not smooth."""
-    count = math.prod(map(len, parts))
+    count = math.prod(len(roots) for _, roots in parts)
     if count > _MOST:
         raise InputError(f"the box contains {count:,} equilibria; give a smaller one")
     found, undecided = [], []
     family = f"any {', '.join(finder.H.names[i] for i in cyclic)}" if cyclic else ""
-    for roots in itertools.product(*parts):
+    for roots in itertools.product(*(roots for _, roots in parts)):
         state: list[Any] = [arb(0)] * len(low)
         unique: list[Any] = [arb(0)] * len(low)
         for i in cyclic:
             state[i] = arb(0.0 if low[i] <= 0 <= high[i] else float((low[i] + high[i]) / 2))
-        for block, root in zip(places, roots, strict=True):
+        for (block, _), root in zip(parts, roots, strict=True):
             for i, entry, around in zip(block, root.enclosure, root.unique, strict=True):
                 state[i], unique[i] = entry, around
         with working(BITS):

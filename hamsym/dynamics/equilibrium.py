@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,7 +16,7 @@ import hamsym
 from hamsym.dynamics.linear_stability import LinearStability
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof.arithmetic.ball import Ball
-from hamsym.support.shown import Drawn, Shown
+from hamsym.support.shown import Drawn, Listed, Shown
 from hamsym.support.suggestions import suggest_attributes
 from hamsym.support.validation import require_whole
 
@@ -258,7 +257,7 @@ class Region:
 
 @suggest_attributes
 @dataclass(frozen=True, eq=False, repr=False)
-class Equilibria(Drawn, Shown, Sequence[Equilibrium]):
+class Equilibria(Drawn, Shown, Listed[Equilibrium]):
     """Equilibria of a Hamiltonian, in the order of their energies; a sequence.
 
     ``plot()`` draws them with their types and numbers in the plane of the first two coordinates, or
@@ -288,19 +287,6 @@ class Equilibria(Drawn, Shown, Sequence[Equilibrium]):
     undecided: tuple[Region, ...] = ()
     boxes: int = 0
     seconds: float = 0.0
-
-    def __len__(self) -> int:
-        return len(self.found)
-
-    @overload
-    def __getitem__(self, index: int) -> Equilibrium: ...
-    @overload
-    def __getitem__(self, index: slice) -> tuple[Equilibrium, ...]: ...
-    def __getitem__(self, index: Any) -> Any:
-        return self.found[index]
-
-    def __iter__(self) -> Iterator[Equilibrium]:
-        return iter(self.found)
 
     def __repr__(self) -> str:
         return f"Equilibria({self.H.formula!r}: {self.message})"

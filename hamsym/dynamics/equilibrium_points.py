@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from flint import arb
 
-from hamsym.dynamics.equilibrium import Equilibria, Equilibrium, Region
+from hamsym.dynamics.equilibrium import Equilibrium
 from hamsym.dynamics.linear_stability import LinearStability, linear_stability, undecided
 from hamsym.dynamics.newton_starts import Candidates, continues
 from hamsym.errors import CertificationError
@@ -245,16 +245,11 @@ def counted(found: Sequence[Equilibrium]) -> str:
     return " and ".join(parts)
 
 
-def ordered(
-    H: Hamiltonian,
-    found: Sequence[Equilibrium],
-    message: str,
-    complete: bool = False,
-    regions: tuple[Region, ...] = (),
-    boxes: int = 0,
-) -> Equilibria:
+def ordered(found: Sequence[Equilibrium]) -> tuple[Equilibrium, ...]:
+    """Equilibria in the order of their energies."""
+
     def place(each: Equilibrium) -> tuple[float, ...]:
         # Round-off must not decide about the order of equal energies.
         return tuple(float(f"{value:.9g}") for value in (each.energy, *each.z.tolist()))
 
-    return Equilibria(H, tuple(sorted(found, key=place)), complete, message, regions, boxes)
+    return tuple(sorted(found, key=place))

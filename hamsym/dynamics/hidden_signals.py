@@ -42,40 +42,32 @@ def follows(
     >>> [follows(H, [H.observable(f)], t, z, np.empty(0), 1e-9) for f in ("cos(x)", narrow)]
     [True, False]
     """
-    if not error < np.inf:  # nothing is claimed
-        return True
-    return all(_follows(H, signal, t, z, parameters[None], error) for signal in signals)
+    parameters = parameters[None]
 
+    def is_followed(f: Observable) -> bool:
+        with np.errstate(all="ignore"):
+            values = np.broadcast_to(np.asarray(f(z, t, parameters), dtype=float), t.shape)
+        if not np.isfinite(values).all():
+            return False
+        try:
+            features = hidden_features(_extended(H, f.function))
+        except InputError:  # f jumps
+            return False
+        if features is None:
+            return True
+        size = float(np.abs(values).max())
+        share = error / size if size else 0.0
+        q, p = np.split(z, 2, axis=1)
+        zero, sizes = np.zeros((len(t), 1)), np.abs(z).max(axis=0)
+        states = np.concatenate((q, work_of(t, values)[:, None], p, zero), axis=1)
+        half = len(sizes) // 2
+        allowed = np.array(
+            [*share * sizes[:half], error * abs(t[-1] - t[0]), *share * sizes[half:], np.inf]
+        )
+        found = features.search(Path(states[None], t), parameters, lambda _: allowed)
+        return bool(np.isnan(found.times).all())
 
-def _follows(
-    H: Hamiltonian,
-    f: Observable,
-    t: np.ndarray,
-    z: np.ndarray,
-    parameters: np.ndarray,
-    error: float,
-) -> bool:
-    with np.errstate(all="ignore"):
-        values = np.broadcast_to(np.asarray(f(z, t, parameters), dtype=float), t.shape)
-    if not np.isfinite(values).all():
-        return False
-    try:
-        features = hidden_features(_extended(H, f.function))
-    except InputError:  # f jumps
-        return False
-    if features is None:
-        return True
-    size = float(np.abs(values).max())
-    share = error / size if size else 0.0
-    q, p = np.split(z, 2, axis=1)
-    zero, sizes = np.zeros((len(t), 1)), np.abs(z).max(axis=0)
-    states = np.concatenate((q, work_of(t, values)[:, None], p, zero), axis=1)
-    half = len(sizes) // 2
-    allowed = np.array(
-        [*share * sizes[:half], error * abs(t[-1] - t[0]), *share * sizes[half:], np.inf]
-    )
-    found = features.search(Path(states[None], t), parameters, lambda _: allowed)
-    return bool(np.isnan(found.times).all())
+    return not error < np.inf or all(map(is_followed, signals))  # if anything is claimed
 
 
 @functools.lru_cache(maxsize=64)

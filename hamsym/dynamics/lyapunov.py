@@ -20,10 +20,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import hamsym
-from hamsym.dynamics.growth import APART, PARALLEL, first_vectors, growth_limit, orthonormal
 from hamsym.dynamics.lyapunov_map import LyapunovMap, lyapunov_map
 from hamsym.dynamics.monodromy import reject_doubled, tangent_stepper
-from hamsym.dynamics.tangent_steps import KEPT, LOST, TangentSteps
+from hamsym.dynamics.tangent_steps import (
+    APART,
+    KEPT,
+    LOST,
+    PARALLEL,
+    TangentSteps,
+    first_vectors,
+    growth_limit,
+    orthonormal,
+)
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.stepper import Stepper
@@ -163,12 +171,8 @@ class LyapunovExponents(Drawn, Shown):
         [1.0, -1.0]
         """
         columns = {f"exponent_{k + 1}": own for k, own in enumerate(self.exponents.T)}
-        return data_frame(columns, {"t": self.t}, self._attributes)
-
-    @property
-    def _attributes(self) -> dict[str, Any]:
         known = {"H": self.H.formulas, "start": self.span[0], "method": self.method, "dt": self.dt}
-        return {**known, "hamsym": hamsym.__version__}
+        return data_frame(columns, {"t": self.t}, {**known, "hamsym": hamsym.__version__})
 
 
 @checked_keywords
@@ -271,8 +275,7 @@ class _Benettin:
     """Growth of tangent vectors, made orthonormal again after every block of steps."""
 
     def __init__(self, stepper: Stepper, state: np.ndarray, plan: TangentSteps, block: int) -> None:
-        self._stepper, self._start, self._size = stepper, plan.span[0], plan.size
-        self._steps, self.block, self._scales = plan.number, block, plan.scales
+        self._stepper, self._plan, self.block = stepper, plan, block
         rows = np.geomspace(1, max(plan.number // block, 1), KEPT).astype(int)
         self._rows = set(rows.tolist())  # numbers of the blocks after which exponents are kept
         self._growth = np.zeros(stepper.tangents.shape[2])
@@ -287,16 +290,17 @@ class _Benettin:
         if not np.isfinite(state).all():
             self.problem = LOST
             return False
-        vectors, grown = orthonormal(self._stepper.tangents[0] / self._scales)
-        self._stepper.tangents[0] = self._scales * vectors
+        vectors, grown = orthonormal(self._stepper.tangents[0] / self._plan.scales)
+        self._stepper.tangents[0] = self._plan.scales * vectors
         if not np.isfinite(grown).all() or np.ptp(grown) > PARALLEL:
             self.problem = APART
             return False
         self._growth = self._growth + grown
-        if done == self._steps or done // self.block in self._rows:
+        if done == self._plan.number or done // self.block in self._rows:
             self.path.append(state)
-            self.times.append(self._start + self._size * done)
+            elapsed = self._plan.size * done
+            self.times.append(self._plan.span[0] + elapsed)
             # The order in which vectors are made orthogonal is that of their growth only after a
             # long time.
-            self.history.append(np.sort(self._growth)[::-1] / abs(self._size * done))
+            self.history.append(np.sort(self._growth)[::-1] / abs(elapsed))
         return True

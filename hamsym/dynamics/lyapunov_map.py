@@ -18,16 +18,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hamsym.dynamics.growth import (
+from hamsym.dynamics.tangent_steps import (
     APART,
     PARALLEL,
     STEPS_PER_RADIAN,
     UNRESOLVED,
+    first_passed,
     first_vectors,
     growth_limit,
     orthonormal,
 )
-from hamsym.dynamics.passed_features import first_passed
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.energy_drift import COARSE, EnergyDrift
 from hamsym.integrators.hidden_features import passed_over

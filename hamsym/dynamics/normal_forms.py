@@ -382,12 +382,8 @@ def _unit(count: int, *variables: int) -> Powers:
 
 def _powers(count: int, total: int) -> Iterator[Powers]:
     """All powers of some variables with a sum."""
-    if count == 1:
-        yield (total,)
-        return
-    for first in range(total, -1, -1):
-        for rest in _powers(count - 1, total - first):
-            yield (first, *rest)
+    for chosen in itertools.combinations_with_replacement(range(count), total):
+        yield tuple(chosen.count(k) for k in range(count))
 
 
 def _vectors(count: int, order: int) -> Iterator[Powers]:

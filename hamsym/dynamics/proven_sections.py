@@ -47,7 +47,6 @@ from hamsym.proof.windows.enclose import Enclosure, enclosed
 from hamsym.proof.windows.public_windows import check_enclosure
 from hamsym.support.record_fields import Limit, Size, counts
 from hamsym.support.shown import Shown
-from hamsym.symbolic.exact import rational
 from hamsym.symbolic.variables import TIME
 
 if TYPE_CHECKING:
@@ -146,13 +145,11 @@ def prove_section(
 ) -> SectionCertificate:
     """Prove that the crossings of a section are all, and enclose them.
 
+    Raise CertificationError if there is no proof, with the reason, or the crossings are not those
+    of the section.
+
     - starts: Shape (trajectories, dim).
     - direction, limit: As the arguments ``direction`` and ``crossings`` of :func:`section`.
-
-    Raises
-    ------
-    CertificationError
-        If there is no proof, with the reason, or the crossings are not those of the section.
     """
     began = time.monotonic()
     if not section.success:
@@ -280,9 +277,8 @@ class _Formulas:
     def __init__(self, H: Hamiltonian, where: Surface) -> None:
         own = H.real_equations
         self._where = where
-        values = {s: rational(v) for s, v in own.parameters.values() if v is not None}
         surface, *conditions = (
-            observed.function.xreplace(values) for observed in (where.value, *where.conditions)
+            each.function.xreplace(own.fractions) for each in (where.value, *where.conditions)
         )
         for formula in (surface, *conditions):
             require_smooth(formula, "the surface contains")

@@ -114,7 +114,7 @@ class Source:
     z0: np.ndarray
     span: tuple[float, float]
     shape: tuple[int, ...]
-    #: (place, count) -> equal times, as many if there is a choice.
+    #: count -> equal times, as many if there is a choice.
     times: Callable[[int], np.ndarray]
     #: (place, times) -> states.
     states: Callable[[tuple[int, ...], np.ndarray], np.ndarray]

@@ -165,13 +165,14 @@ class Section(Drawn, Saved):
         >>> found.to_dataframe().columns.tolist()
         ['trajectory', 't', 'x', 'p', 'z0_x', 'z0_p']
         """
-        columns = {
-            f"z0_{n}": v for n, v in zip(self.names, self.z0[self.trajectory].T, strict=True)
-        }
+        columns = {"trajectory": self.trajectory, time_name(self.names): self.t}
+        found = observed(self.H, names, self.z[:, None], self.t[:, None], self.own_parameters)
+        columns |= {name: values[:, 0] for name, values in found.items()}
+        starts = zip(self.names, self.z0[self.trajectory].T, strict=True)
+        columns |= {f"z0_{name}": values for name, values in starts}
         columns |= {name: values[self.trajectory] for name, values in self.parameters.items()}
-        first = {"trajectory": self.trajectory, time_name(self.names): self.t}
-        columns = first | self._observed(names) | columns
-        return data_frame(columns, None, self._attributes)
+        known = {"H": self.H.formulas, "surface": self.surface, "method": self.method}
+        return data_frame(columns, None, {**known, "dt": self.dt, "hamsym": hamsym.__version__})
 
     @property
     def own_parameters(self) -> np.ndarray | None:
@@ -181,16 +182,6 @@ class Section(Drawn, Saved):
         known: dict[str, Any] = {**self.H.parameters, **self.parameters}
         every = [np.broadcast_to(known[name], len(self.z0)) for name in self.H.parameter_names]
         return np.stack(every, axis=-1)[self.trajectory]
-
-    def _observed(self, names: Sequence[Any]) -> dict[str, np.ndarray]:
-        own = self.own_parameters
-        found = observed(self.H, names, self.z[:, None], self.t[:, None], own)
-        return {name: values[:, 0] for name, values in found.items()}
-
-    @property
-    def _attributes(self) -> dict[str, Any]:
-        known = {"H": self.H.formulas, "surface": self.surface, "method": self.method}
-        return {**known, "dt": self.dt, "hamsym": hamsym.__version__}
 
 
 @checked_keywords

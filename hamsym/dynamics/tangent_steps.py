@@ -1,7 +1,9 @@
-"""Steps of one trajectory with tangent vectors: their choice and their judgement.
+"""Steps with tangent vectors: their choice, the growth of the vectors, and what makes a run fail.
 
-Input:  a Hamiltonian, an initial state, a time span; later the states that the steps reached.
-Output: the number and size of the steps; the change of H, and what makes the run a failure.
+Input:  a Hamiltonian, an initial state, a time span; later the states that the steps reached, and
+        the tangent vectors there.
+Output: the number and size of the steps; orthonormal vectors of the same flags with the logarithms
+        of their growth; the change of H, and why the run failed.
 """
 
 from __future__ import annotations
@@ -14,17 +16,15 @@ from typing import Any
 
 import numpy as np
 
-from hamsym.dynamics.growth import STEPS_PER_RADIAN, UNRESOLVED
-from hamsym.dynamics.passed_features import first_passed
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.energy_drift import COARSE, EnergyDrift
-from hamsym.integrators.hidden_features import passed_over
+from hamsym.integrators.hidden_features import Path, hidden_features, passed_over
 from hamsym.integrators.step_scales import fastest_rates
 from hamsym.integrators.stepper import Stepper
 from hamsym.integrators.table import resolved_angle, too_fast
 from hamsym.numerics.scales import tangent_scales
-from hamsym.problems.ensemble import ensemble_of
+from hamsym.problems.ensemble import Ensemble, ensemble_of
 from hamsym.problems.problem import checked_steps
 
 #: Points of a history.
@@ -32,7 +32,22 @@ KEPT = 2_000
 #: Outcome where a step did not end in a finite state.
 LOST = "the states overflowed, or a step could not be solved"
 
+#: Default steps in a radian of the fastest linear motion.
+STEPS_PER_RADIAN = 5
+#: Times the rate for which the steps were chosen at which they no longer resolve the motion.
+UNRESOLVED = 3.0
+#: E-folds by which one vector may outgrow another until both are parallel.
+PARALLEL = 30.0
+#: Outcome where they did.
+APART = (
+    f"tangent vectors grew apart by more than exp({PARALLEL:g}) between renormalisations; reduce dt"
+)
+
+# Largest number of e-folds of the fastest linear motion between two renormalisations: float64
+# overflows at 700, and several vectors become parallel to round-off before.
+_GROWTH_OF_ONE, _GROWTH_OF_SEVERAL = 200.0, 5.0
 _PILOT_STEPS, _PILOTS = 1_000, 8
+_HELD = 1_000_000  # components of the states of a block of steps
 
 
 @dataclass(frozen=True)
@@ -165,3 +180,65 @@ def _fastest_rate(
         rate = found
         length = min(length, _PILOT_STEPS / (STEPS_PER_RADIAN * rate))
     return rate, path, times
+
+
+def first_passed(
+    members: Ensemble, method: str, start: float, size: float, steps: int
+) -> np.ndarray:
+    """Return the time of the first feature that the steps of each member pass over, or nan.
+
+    The steps are taken once more without tangent vectors, in blocks, because only some of their
+    states are kept, and searched by :mod:`hamsym.integrators.hidden_features`. What all features
+    together may change is the share of the sizes of the components that the energy may change, too.
+    """
+    count = len(members)
+    found = np.full(count, np.nan)
+    features, values = hidden_features(members.H), members.own_parameters()
+    if features is None or not count:
+        return found
+    sizes = np.full(count, size)
+    stepper = Stepper(
+        *(members.H, method, members.states, np.full(count, start), sizes),
+        parameters=members.parameters,
+    )
+    block = max(1, _HELD // members.states.size)
+    for done in range(0, steps, block):
+        taken = min(block, steps - done)
+        path = stepper.advance(taken, show=False).path
+        times = start + size * np.arange(done, done + taken + 1)
+        new = features.passed(Path(path, times), values, COARSE * taken / steps)
+        found = np.where(np.isnan(found), new, found)
+    return found
+
+
+# -- growth of tangent vectors ---------------------------------------------------------------------
+
+
+def growth_limit(count: int) -> float:
+    """Return how many e-folds may pass between renormalisations of this number of vectors."""
+    return _GROWTH_OF_ONE if count == 1 else _GROWTH_OF_SEVERAL
+
+
+def first_vectors(dim: int, count: int, seed: int) -> np.ndarray:
+    """Return random orthonormal vectors, shape (dim, count)."""
+    return np.linalg.qr(np.random.default_rng(seed).normal(size=(dim, count)))[0]
+
+
+def orthonormal(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return orthonormal vectors of the same flags, and the logarithm of the growth of each.
+
+    - vectors: Shape (..., dim, count), in units of ``tangent_scales``.
+
+    Examples
+    --------
+    >>> q, growth = orthonormal(np.array([[2.0, 2.0], [0.0, 3.0]]))
+    >>> q + 0.0, np.exp(growth).round(9)
+    (array([[1., 0.],
+           [0., 1.]]), array([2., 3.]))
+    """
+    if vectors.shape[-1] == 1:
+        length = np.linalg.norm(vectors, axis=-2, keepdims=True)
+        return vectors / length, np.log(length[..., 0, :])
+    q, r = np.linalg.qr(vectors)
+    diagonal = np.diagonal(r, axis1=-2, axis2=-1)
+    return q * np.sign(diagonal)[..., None, :], np.log(np.abs(diagonal))

@@ -39,6 +39,8 @@ _CHARACTER_REMEDIES = {
 # length that no accepted text can contain.
 LAMBDA, LAMBDA_STAND_IN = "lambda", "łambda"
 
+#: What to do with formulas that take too much.
+SPLIT = "split it, or build a sympy expression"
 
 # Problem and remedy of each construct that is valid in Python and not in a formula.
 REFUSED_NODES: dict[type[ast.AST], tuple[str, str]] = {
@@ -73,10 +75,7 @@ REFUSED_OPERATORS: dict[type[ast.AST], tuple[str, str, str]] = {
 def readable(text: str) -> str:
     """Return the text in the alphabet of formulas, character for character.
 
-    Raises
-    ------
-    ParseError
-        For the first character that is not allowed.
+    Raise ParseError for the first character that is not allowed.
     """
     text = re.sub(r"[\t\r\n]", " ", text).translate(_GREEK_VARIANTS)
     for column, character in enumerate(text, 1):
@@ -94,6 +93,13 @@ def readable(text: str) -> str:
     return re.sub(rf"\b{LAMBDA}\b", LAMBDA_STAND_IN, text)
 
 
+def beginning(text: str, problem: str, remedy: str, start: int = 0) -> ParseError:
+    """The error about a whole formula, which names its first characters."""
+    return ParseError(
+        text[start : start + 12] + "...", start + 1, f"begins a formula {problem}", remedy
+    )
+
+
 def syntax_tree(text: str) -> ast.Expression:
     """Parse a text from :func:`readable`, with columns counted in the whole text.
 
@@ -109,12 +115,7 @@ def syntax_tree(text: str) -> ast.Expression:
     except SyntaxError as error:
         raise _syntax_error(text, error, start) from None
     except (RecursionError, MemoryError, ValueError):
-        raise ParseError(
-            text[start : start + 12] + "...",
-            start + 1,
-            "begins a formula that is nested too deeply or too long",
-            "split it, or build a sympy expression",
-        ) from None
+        raise beginning(text, "that is nested too deeply or too long", SPLIT, start) from None
     for node in ast.walk(tree):
         if isinstance(node, (ast.expr, ast.keyword)):
             node.col_offset += start

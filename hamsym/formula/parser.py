@@ -29,6 +29,8 @@ from hamsym.formula.grammar import (
     LAMBDA_STAND_IN,
     REFUSED_NODES,
     REFUSED_OPERATORS,
+    SPLIT,
+    beginning,
     readable,
     syntax_tree,
 )
@@ -42,7 +44,7 @@ MAX_EXPONENT = 1_000  # of a numerical power
 MAX_EFFORT = 1_600_000  # function calls, most of them sympy's; under a second
 MAX_SECONDS = 2.0  # of processor time, for the few calls that take long themselves
 MAX_BITS = 5_000  # of an exact number
-
+_LARGE = "build a sympy expression for something this large"
 
 #: Terms of sums in the order in which they were written, by the sum.
 Written = dict[sympy.Expr, tuple[sympy.Expr, ...]]
@@ -194,12 +196,7 @@ class _Visitor:
 
     def __init__(self, text: str) -> None:
         if len(text) > MAX_LENGTH:
-            raise ParseError(
-                text[:12] + "...",
-                1,
-                f"begins a formula of {len(text)} characters, more than {MAX_LENGTH}",
-                "build a sympy expression for something this large",
-            )
+            raise beginning(text, f"of {len(text)} characters, more than {MAX_LENGTH}", _LARGE)
         self._text = readable(text)
         self.written: Written = {}
         self._symbols: dict[str, str] = {}  # canonical name -> name as typed
@@ -212,22 +209,12 @@ class _Visitor:
         tree = syntax_tree(self._text)
         count = sum(isinstance(node, ast.expr) for node in ast.walk(tree))
         if count > MAX_NODES:
-            raise ParseError(
-                self._text[:12] + "...",
-                1,
-                f"begins a formula of {count} parts, more than {MAX_NODES}",
-                "build a sympy expression for something this large",
-            )
+            raise beginning(self._text, f"of {count} parts, more than {MAX_NODES}", _LARGE)
         try:
             with call_limit(MAX_EFFORT, MAX_SECONDS):
                 found = self.visit(tree.body)
         except CallLimitExceededError:
-            raise ParseError(
-                self._text.strip()[:12] + "...",
-                1,
-                "begins a formula that takes too long to read",
-                "split it, or build a sympy expression",
-            ) from None
+            raise beginning(self._text.strip(), "that takes too long to read", SPLIT) from None
         for name in sorted(self._index_names & set(self._symbols.values())):
             raise ParseError(
                 name,
@@ -283,11 +270,7 @@ class _Visitor:
             return _CONSTANTS[name]
         if name in FUNCTIONS:
             raise self._error(node, "is a function", f"write {name}(...)")
-        try:
-            check_name(name)
-        except VariableError as error:
-            remedy = str(error).split("; ", 1)[1]
-            raise self._error(node, "is not a usable name", remedy) from None
+        self._check_name(name, node)
         return self._symbol(name, node)
 
     def _symbol(self, name: str, node: ast.AST) -> sympy.Symbol:
@@ -306,14 +289,18 @@ class _Visitor:
         if index < 0:
             raise self._error(node, f"has the index {index}", "use indices from 0")
         stem = LAMBDA if node.value.id == LAMBDA_STAND_IN else node.value.id
-        try:
-            check_name(stem)
-            check_name(f"{stem}{index}")
-        except VariableError as error:
-            raise self._error(node, "is not a usable name", str(error).split("; ", 1)[1]) from None
+        self._check_name(stem, node)
+        self._check_name(f"{stem}{index}", node)
         if stem in self._indices:
             raise self._error(node, "is an element of an index", "use another letter")
         return self._symbol(f"{stem}{index}", node)
+
+    def _check_name(self, name: str, node: ast.AST) -> None:
+        try:
+            check_name(name)
+        except VariableError as error:
+            remedy = str(error).split("; ", 1)[1]
+            raise self._error(node, "is not a usable name", remedy) from None
 
     def _whole(self, node: ast.expr) -> int:
         """The value of an integer, or of an expression in the indices of sums."""
@@ -367,7 +354,7 @@ class _Visitor:
             return -self.visit(node.operand)
         if isinstance(node.op, ast.UAdd):
             return self.visit(node.operand)
-        raise self._operator_error(node.op, node, self._column(node))
+        raise self._operator_error(node.op, self._column(node))
 
     def visit_BinOp(self, node: ast.BinOp) -> sympy.Expr:
         if isinstance(node.op, ast.Pow):
@@ -380,7 +367,7 @@ class _Visitor:
         before = self._text_of(node.left)
         column = self._column(node.left) + len(before)
         symbol = REFUSED_OPERATORS[type(node.op)][0]
-        raise self._operator_error(node.op, node, self._text.find(symbol, column - 1) + 1)
+        raise self._operator_error(node.op, self._text.find(symbol, column - 1) + 1)
 
     def visit_Call(self, node: ast.Call) -> sympy.Expr:
         if isinstance(node.func, ast.Attribute):
@@ -404,11 +391,7 @@ class _Visitor:
             )
         function = FUNCTIONS[name]
         if not function.fewest <= len(node.args) <= function.most:
-            allowed = (
-                f"{function.fewest}"
-                if function.fewest == function.most
-                else f"{function.fewest} to {function.most}"
-            )
+            allowed = " to ".join(map(str, sorted({function.fewest, function.most})))
             raise self._error(
                 node.func,
                 f"has {len(node.args)} arguments",
@@ -518,7 +501,8 @@ class _Visitor:
         token = self._text_of(node).replace(LAMBDA_STAND_IN, LAMBDA)
         return ParseError(token, self._column(node), problem, remedy)
 
-    def _operator_error(self, operator: ast.AST, node: ast.AST, column: int) -> ParseError:
+    @staticmethod
+    def _operator_error(operator: ast.AST, column: int) -> ParseError:
         symbol, problem, remedy = REFUSED_OPERATORS[type(operator)]
         return ParseError(symbol, column, problem, remedy)
 

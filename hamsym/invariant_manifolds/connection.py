@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from hamsym.invariant_manifolds.origins import Origin
 from hamsym.problems.surface import Surface, parse_surface
 from hamsym.solution.solution import Solution
 from hamsym.solution.times import times_in_span
-from hamsym.support.shown import Drawn, Shown
+from hamsym.support.shown import Drawn, Listed, Shown
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.validation import require_positive, require_whole
 
@@ -131,7 +131,7 @@ def _at(solution: Solution, times: np.ndarray) -> np.ndarray:
 
 @suggest_attributes
 @dataclass(frozen=True, eq=False)
-class Connections(Drawn, Shown, Sequence[Connection]):
+class Connections(Drawn, Shown, Listed[Connection]):
     """The connections that were found on a section; a sequence, the most transversal first.
 
     ``plot()`` draws the cuts of both manifolds with the section, and the connections in them.
@@ -160,19 +160,6 @@ class Connections(Drawn, Shown, Sequence[Connection]):
     success: bool
     message: str
     seconds: float
-
-    def __len__(self) -> int:
-        return len(self.found)
-
-    @overload
-    def __getitem__(self, index: int) -> Connection: ...
-    @overload
-    def __getitem__(self, index: slice) -> tuple[Connection, ...]: ...
-    def __getitem__(self, index: Any) -> Any:
-        return self.found[index]
-
-    def __iter__(self) -> Iterator[Connection]:
-        return iter(self.found)
 
     def __repr__(self) -> str:
         return f"Connections({self.H.formulas!r}, on {self.surface!r}: {self.message})"
@@ -234,8 +221,8 @@ def connections(
     require_whole("crossings", crossings)
     require_positive("tol", tol)
     where = parse_surface(unstable.H, surface)
-    cuts = tuple(cut_of(each, where, int(crossings)) for each in (unstable, stable))
-    found = _Search(unstable, stable, where, cuts, tol).connections()
+    cuts = cut_of(unstable, where, int(crossings)), cut_of(stable, where, int(crossings))
+    found = _Search((unstable, stable), where, cuts, tol).connections()
     accurate = unstable.local_error <= unstable.tol and stable.local_error <= stable.tol
     problems = [
         f"{each.kind} manifold: {each.message}" for each in (unstable, stable) if not each.success
@@ -247,7 +234,7 @@ def connections(
         unstable,
         stable,
         where.text,
-        (cuts[0], cuts[1]),
+        cuts,
         bool(found) and accurate,
         "; ".join([message, *problems]),
         time.perf_counter() - began,
@@ -290,44 +277,36 @@ def _exchanged(manifold: Manifold) -> float:
     return float((slopes * np.maximum(scale, np.abs(states).max(axis=0))).max())
 
 
+@dataclass(frozen=True)
 class _Search:
     """Newton's method from places where the cuts of two manifolds come near each other."""
 
-    def __init__(
-        self,
-        unstable: Manifold,
-        stable: Manifold,
-        where: Surface,
-        cuts: tuple[Cut, ...],
-        tol: float,
-    ) -> None:
-        self._manifolds, self._where, self._tol = (unstable, stable), where, tol
-        self._cuts = cuts
+    manifolds: tuple[Manifold, Manifold]
+    where: Surface
+    cuts: tuple[Cut, Cut]
+    tol: float
 
     def connections(self) -> list[Connection]:
         """The different connections, the most transversal first."""
-        cuts = self._cuts
-        segments = [
+        (first, second), cuts = self.manifolds, self.cuts
+        segments = tuple(
             cut.segments(each.starts.neighbours())
-            for cut, each in zip(cuts, self._manifolds, strict=True)
-        ]
+            for cut, each in zip(cuts, self.manifolds, strict=True)
+        )
         found: list[Connection] = []
         known: list[Met] = []
-        H, period = self._manifolds[0].H, self._manifolds[0].departure.period
-        clock = None if H.time is None else period
-        pair = segments[0], segments[1]
-        scale = np.max([each.departure.local.scale for each in self._manifolds], axis=0)
-        for place in nearby(cuts[0], cuts[1], pair, scale, clock, _CANDIDATES):
+        clock = None if first.H.time is None else first.departure.period
+        scale = np.maximum(first.departure.local.scale, second.departure.local.scale)
+        for place in nearby(cuts, segments, scale, clock, _CANDIDATES):
             sides = [
                 self._side(n, own, share)
                 for n, own, share in zip((0, 1), place.pairs, place.shares, strict=True)
             ]
-            met = meet((sides[0], sides[1]), self._where, self._tol, known)
-            if met is None or not met.mismatch <= self._tol:
+            met = meet((sides[0], sides[1]), self.where, self.tol, known)
+            if met is None or not met.mismatch <= self.tol:
                 continue
             known.append(met)
-            first, second = self._manifolds
-            one = connection_of((first.origin, second.origin), self._where, met, self._tol)
+            one = connection_of((first.origin, second.origin), self.where, met, self.tol)
             if one.success and not any(self._same(one, other) for other in found):
                 found.append(one)
         return sorted(found, key=lambda one: -one.transversality)
@@ -343,7 +322,7 @@ class _Search:
 
     def _side(self, n: int, pair: tuple[int, int], share: float) -> Side:
         """A guess between two crossings of neighbours."""
-        each, cut = self._manifolds[n], self._cuts[n]
+        each, cut = self.manifolds[n], self.cuts[n]
         a, b = (int(cut.trajectory[k]) for k in pair)
         direction = (1 - share) * each.directions[a] + share * each.directions[b]
         t = (1 - share) * cut.t[pair[0]] + share * cut.t[pair[1]]

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from hamsym.dynamics.equilibria import equilibria
-from hamsym.dynamics.equilibrium import Equilibrium
 from hamsym.errors import InputError
 from hamsym.invariant_manifolds.connection import Connection, connection_of
 from hamsym.invariant_manifolds.manifold import LOCAL
@@ -76,11 +76,8 @@ def connection_family(
         name, here, target = None, connection.energy, float(energy)
     else:
         name, here, target = _checked(connection, parameter)
-    path, step, least = (
-        [connection],
-        (target - here) / steps,
-        abs(target - here) / steps / 2**_HALVINGS,
-    )
+    path, step = [connection], (target - here) / steps
+    least = abs(step) / 2**_HALVINGS
     while here != target:
         there = target if abs(target - here) <= 1.001 * abs(step) else here + step
         found = _next(path[-1], name, there, tol)
@@ -128,15 +125,9 @@ def _next(before: Connection, name: str | None, value: float, tol: float) -> Con
 
 def _origin_at(origin: Origin, name: str | None, value: float) -> Origin | None:
     if isinstance(origin, PeriodicOrbit):
-        if name is None:
-            family = orbit_family(origin, energy=value, progress=False)
-        else:
-            family = orbit_family(origin, parameter=(name, value), progress=False)
+        target: Any = {"energy": value} if name is None else {"parameter": (name, value)}
+        family = orbit_family(origin, **target, progress=False)
         return family[-1] if family.success else None
-    return _equilibrium_at(origin, name, value)
-
-
-def _equilibrium_at(origin: Equilibrium, name: str | None, value: float) -> Equilibrium | None:
     if origin.H is None or name is None:
         return None
     found = equilibria(origin.H.with_parameters(**{name: value}), guess=origin.z)

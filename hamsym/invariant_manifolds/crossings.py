@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -106,9 +107,8 @@ class Nearby(NamedTuple):
 
 
 def nearby(
-    first: Cut,
-    second: Cut,
-    segments: tuple[np.ndarray, np.ndarray],
+    cuts: tuple[Cut, Cut],
+    segments: Sequence[np.ndarray],
     scale: np.ndarray,
     period: float | None,
     most: int,
@@ -121,13 +121,12 @@ def nearby(
     - scale: Sizes of the components on the local manifolds.
     - period: Of H in time, if it depends on it: crossings at other phases of it are apart.
     """
+    first, second = cuts
     if not (len(first.t) and len(second.t)):
         return []
     low, high = np.quantile(np.concatenate([first.z, second.z]), _USUAL, axis=0)
     units = np.maximum(high - low, _LEAST * scale)
-    places = [
-        np.concatenate([cut.z / units, _phases(cut.t, period)], axis=1) for cut in (first, second)
-    ]
+    places = [np.concatenate([cut.z / units, _phases(cut.t, period)], axis=1) for cut in cuts]
     a, b = (place[pair] for place, pair in zip(places, segments, strict=True))
     rising = first.rising[segments[0][:, 0]][:, None] == second.rising[segments[1][:, 0]]
     rows, columns = np.nonzero(rising)

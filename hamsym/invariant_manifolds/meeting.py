@@ -129,7 +129,6 @@ class Met(NamedTuple):
     #: Smallest singular value of the derivative of the equations by the unknowns, relative to the
     #: largest.
     transversality: float
-    iterations: int
     #: Sizes of the components.
     scale: np.ndarray
 
@@ -147,7 +146,7 @@ def meet(
     """
     best: Met | None = None
     worse = 0
-    for iteration in range(_NEWTON):
+    for _ in range(_NEWTON):
         first, second = sides[0].solved(), sides[1].solved()
         if first is None or second is None:
             return best
@@ -169,7 +168,7 @@ def meet(
         mismatch = float(np.abs(rest).max())
         if best is None or mismatch < best.mismatch:
             share = float(singular[-1] / singular[0])
-            best = Met(sides, (first, second), mismatch, share, iteration, scale)
+            best = Met(sides, (first, second), mismatch, share, scale)
             worse = 0
         else:
             worse += 1

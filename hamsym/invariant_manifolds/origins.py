@@ -73,7 +73,7 @@ class Departure:
         d = self.local.coordinates(directions)
         if self.period is None:
             return d
-        return np.asarray(d * self._turned(phases))
+        return np.asarray(d * np.exp(-phases[:, None] * self._logarithms))
 
     def states(self, directions: np.ndarray, phases: np.ndarray) -> np.ndarray:
         """The starts, shape (n, dim)."""
@@ -107,9 +107,6 @@ class Departure:
         angles = np.where(self.rates.imag == 0, 0.0, np.angle(self.rates))
         return np.asarray(np.log(np.abs(self.rates)) + 1j * angles)
 
-    def _turned(self, phases: np.ndarray) -> np.ndarray:
-        return np.asarray(np.exp(-np.asarray(phases)[:, None] * self._logarithms))
-
 
 def _field(H: Hamiltonian, t: float, sign: int = 1) -> Callable[[np.ndarray], np.ndarray]:
     """The rates at states, forwards or backwards in time."""
@@ -120,10 +117,7 @@ def _field(H: Hamiltonian, t: float, sign: int = 1) -> Callable[[np.ndarray], np
 def departure(origin: Origin, sign: int, wanted: float) -> Departure:
     """Find the local manifold of an equilibrium or an orbit, forwards or backwards in time.
 
-    Raises
-    ------
-    InputError
-        If there is none, or it cannot be computed.
+    Raise InputError if there is none, or it cannot be computed.
     """
     if isinstance(origin, PeriodicOrbit):
         return _of_orbit(origin, sign, wanted)
@@ -240,7 +234,9 @@ def _of_orbit(orbit: PeriodicOrbit, sign: int, wanted: float) -> Departure:
     H, matrix = orbit.H, orbit.monodromy
     if sign < 0:
         matrix = np.linalg.inv(matrix) if H.forces else symplectic_inverse(matrix)
-    coupling = _coupled(np.abs(_jacobians(orbit)).mean(axis=0))[1]
+    times = orbit.problem.start + orbit.period * np.linspace(0, 1, 65)[:-1]
+    jacobians = H.compile("numpy").at("jacobian", orbit(times), times)
+    coupling = _coupled(np.abs(jacobians).mean(axis=0))[1]
     scale = coupled_sizes(_extents(orbit), coupling, orbit.period)
     rates, vectors = _away(matrix * scale / scale[:, None])
     if not len(rates):
@@ -284,11 +280,6 @@ def _away(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     vectors[np.abs(vectors) < _NOISE * np.abs(vectors).max(axis=0)] = 0.0
     chosen = [k for k, m in enumerate(values) if abs(m) > _LEAST and m.imag >= 0]
     return _paired(values, vectors, chosen)
-
-
-def _jacobians(orbit: PeriodicOrbit) -> np.ndarray:
-    times = orbit.problem.start + orbit.period * np.linspace(0, 1, 65)[:-1]
-    return orbit.H.compile("numpy").at("jacobian", orbit(times), times)
 
 
 def _map_of(H: Hamiltonian, span: tuple[float, float]) -> Callable[..., np.ndarray]:

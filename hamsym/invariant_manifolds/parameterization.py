@@ -185,15 +185,12 @@ def parameterized(
 ) -> LocalManifold:
     """Find W on the largest ball, up to a size, on which its error is small enough.
 
+    Raise InputError if the eigenvectors are not independent.
+
     - rates: Exponents or multipliers, complex, shape (n,), conjugate ones adjacent.
     - vectors: Their eigenvectors, the columns, shape (dim, n).
     - size: The factor of the vectors with which the search begins.
     - wanted: Largest invariance error. If no ball has it, that with the least error is returned.
-
-    Raises
-    ------
-    InputError
-        If the eigenvectors are not independent.
     """
     scaled = vectors / _sizes(dynamics, vectors.T)[:, None]
     if not np.linalg.cond(scaled / np.linalg.norm(scaled, axis=0)) <= _ALIKE:

@@ -208,7 +208,7 @@ def _joined(cells: Cells) -> tuple[Cells, list[tuple[float, int]]]:
     first, last = _rows(cells, np.zeros(len(cells)))
     joined = {
         name: np.stack((getattr(cells, name)[0, first], getattr(cells, name)[1, last]))
-        for name in ("values", "states", "rates")
+        for name in _PAIRS
     }
     others = {name: getattr(cells, name)[first] for name in ("index", "low", "width", "bends")}
     groups = Cells(**joined, **others, high=cells.high[last], scale=cells.scale[first])

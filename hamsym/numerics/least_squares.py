@@ -95,7 +95,8 @@ def minimize_squares(
         rows = np.flatnonzero(open_)
         if not len(rows):
             break
-        here, r, J = x[rows], residuals[rows], _inside(x, residuals, jacobian, low, high, rows)
+        here, r = x[rows], residuals[rows]
+        J = _inside(here, r, jacobian[rows], low[rows], high[rows])
         scale[rows] = largest = np.maximum(scale[rows], _lengths(jacobian[rows]))
         unit = np.where(largest > 0, largest, 1.0)
         left, values, right = np.linalg.svd(J / unit[:, None], full_matrices=False)
@@ -163,7 +164,7 @@ def are_minima(
     part of ``sizes`` (n, k), and no curvature is negative.
     """
     low, high = np.broadcast_to(low, x.shape), np.broadcast_to(high, x.shape)
-    J = _inside(x, residuals, jacobian, low, high, np.arange(len(x)))
+    J = _inside(x, residuals, jacobian, low, high)
     found = projections(residuals, J) <= close * variance
     rows = np.flatnonzero(~found)
     if not len(rows):
@@ -215,18 +216,12 @@ def _counted(values: np.ndarray, parts: np.ndarray) -> np.ndarray:
 
 
 def _inside(
-    x: np.ndarray,
-    residuals: np.ndarray,
-    jacobian: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    rows: np.ndarray,
+    x: np.ndarray, residuals: np.ndarray, jacobian: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> np.ndarray:
-    """Return J of some rows, zero for unknowns at a bound that they would leave."""
-    J, at = jacobian[rows], x[rows]
-    slope = np.einsum("nmk,nm->nk", J, residuals[rows])
-    kept = ((at <= low[rows]) & (slope > 0)) | ((at >= high[rows]) & (slope < 0))
-    return np.where(kept[:, None], 0.0, J)
+    """Return J, zero for unknowns at a bound that they would leave."""
+    slope = np.einsum("nmk,nm->nk", jacobian, residuals)
+    kept = ((x <= low) & (slope > 0)) | ((x >= high) & (slope < 0))
+    return np.where(kept[:, None], 0.0, jacobian)
 
 
 def _lengths(jacobian: np.ndarray) -> np.ndarray:

@@ -13,7 +13,6 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -48,15 +47,9 @@ def leja_points() -> np.ndarray:
     return np.array(found)
 
 
-class _Factors(NamedTuple):
-    """Inverses of the triangular factors of the Chebyshev polynomials at the Leja points."""
-
-    lower: np.ndarray
-    upper: np.ndarray
-
-
 @functools.cache
-def _factors() -> _Factors:
+def _factors() -> tuple[np.ndarray, np.ndarray]:
+    """Inverses of the lower and the upper triangular factor of the matrix at the Leja points."""
     matrix = chebyshev.chebvander(leja_points(), MOST_DEGREE)
     size = len(matrix)
     lower, upper = np.eye(size), matrix.copy()
@@ -64,7 +57,7 @@ def _factors() -> _Factors:
     for k in range(size - 1):
         lower[k + 1 :, k] = upper[k + 1 :, k] / upper[k, k]
         upper[k + 1 :] -= np.outer(lower[k + 1 :, k], upper[k])
-    return _Factors(np.linalg.inv(lower), np.linalg.inv(np.triu(upper)))
+    return np.linalg.inv(lower), np.linalg.inv(np.triu(upper))
 
 
 def surpluses(degrees: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -80,7 +73,8 @@ def surpluses(degrees: np.ndarray, values: np.ndarray) -> np.ndarray:
     >>> surpluses(degrees, leja_points()[degrees[:, 0]] ** 2).round(3)
     array([0., 1., 2., 0.])
     """
-    return _applied(_factors().lower, degrees, values)
+    lower, _ = _factors()
+    return _applied(lower, degrees, values)
 
 
 def chebyshev_coefficients(degrees: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -97,7 +91,8 @@ def chebyshev_coefficients(degrees: np.ndarray, values: np.ndarray) -> np.ndarra
     >>> bool(np.allclose(chebyshev_coefficients(degrees, 2 * x**2 - y), [1, 0, 1, -1]))
     True
     """
-    return _applied(_factors().upper, degrees, surpluses(degrees, values))
+    _, upper = _factors()
+    return _applied(upper, degrees, surpluses(degrees, values))
 
 
 def _applied(matrix: np.ndarray, degrees: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -16,24 +16,26 @@ from collections.abc import Callable
 
 import numpy as np
 
-_ASIDE = (
-    1e-3  # of an interval: distance from its ends at which the search for a turning point begins
-)
+# Of an interval: distance from its ends at which the search for a turning point begins.
+_ASIDE = 1e-3
 _BLOCK, _ROWS = 100, 500  # points and functions of one evaluation in a search for first zeros
 _SAME_SIGNS = -1  # status of scipy for a bracket whose ends have one sign
 
+#: (places, numbers of the intervals or functions) -> values.
+Functions = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
-def sign_changes(values: np.ndarray, direction: float = 0.0) -> tuple[np.ndarray, ...]:
-    """Return indices (..., i) where values, shape (..., n), change their sign from i to i + 1.
+
+def sign_changes(values: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return indices (..., i) where values, shape (..., n), change their sign from i to i + 1."""
+    return np.nonzero(changes(values[..., :-1], values[..., 1:]))
+
+
+def changes(before: np.ndarray, after: np.ndarray, direction: float = 0.0) -> np.ndarray:
+    """Whether a sign changes from before to after.
 
     A zero belongs to the interval that ends there, and is therefore counted once. A direction above
     zero selects rising values, below zero falling ones.
     """
-    return np.nonzero(changes(values[..., :-1], values[..., 1:], direction))
-
-
-def changes(before: np.ndarray, after: np.ndarray, direction: float = 0.0) -> np.ndarray:
-    """Whether a sign changes from before to after, as in :func:`sign_changes`."""
     rising, falling = (before < 0) & (after >= 0), (before > 0) & (after <= 0)
     if direction > 0:
         return rising
@@ -57,7 +59,7 @@ def suspects(values: np.ndarray, slopes: np.ndarray) -> tuple[tuple[np.ndarray, 
 
 
 def zeros(
-    function: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    function: Functions,
     before: np.ndarray,
     after: np.ndarray,
     dips: np.ndarray,
@@ -69,7 +71,7 @@ def zeros(
       index.
     - before, after: Values at the ends of the intervals, shape (k,).
     - dips: Whether an interval begins and ends on one side of zero, shape (k,).
-    - direction: As in :func:`sign_changes`.
+    - direction: As in :func:`changes`.
     - returns share, index: Shape (n,), in the order of the intervals and within them.
     """
     whole, dip = np.flatnonzero(~dips), np.flatnonzero(dips)
@@ -89,7 +91,7 @@ def zeros(
 
 
 def _turning_points(
-    function: Callable[[np.ndarray, np.ndarray], np.ndarray], side: np.ndarray, index: np.ndarray
+    function: Functions, side: np.ndarray, index: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Locate the points closest to zero, or furthest beyond it, and the values there."""
     if not len(index):
@@ -114,9 +116,7 @@ def _turning_points(
     )
 
 
-def refine(
-    function: Callable[[np.ndarray, np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray
-) -> np.ndarray:
+def refine(function: Functions, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Locate zeros of function(x, index) between low and high, shape (n,), to round-off.
 
     By scipy's Chandrupatla method, for all intervals at once; NaN where the sign changes at a pole
@@ -136,13 +136,13 @@ def refine(
         return np.where(np.abs(function(found, index)) <= ends.max(axis=0), found, np.nan)
 
 
-def first_zeros(function: Callable[[np.ndarray, np.ndarray], np.ndarray], count: int) -> np.ndarray:
+def first_zeros(functions: Functions, count: int) -> np.ndarray:
     """Find the smallest zero from 0 on of each of several functions of one variable.
 
     Each function is sampled at 0 and at 4,600 points between 1e-300 and 1e300, most of them between
     1e-9 and 1e9. Intervals where it is not finite are skipped, and so are sign changes at poles.
 
-    - function: (x, index) -> values of the functions of these indices, for arrays that broadcast.
+    - functions: For arrays that broadcast.
     - count: Number of functions.
     - returns: Shape (count,); NaN for a function without a sign change.
 
@@ -161,23 +161,21 @@ def first_zeros(function: Callable[[np.ndarray, np.ndarray], np.ndarray], count:
         if not len(left):
             break
         for index in np.split(left, range(_ROWS, len(left), _ROWS)):
-            found[index] = _first_in_block(function, points, index)
+            found[index] = _first_in_block(functions, points, index)
     return found
 
 
-def _first_in_block(
-    function: Callable[[np.ndarray, np.ndarray], np.ndarray], points: np.ndarray, index: np.ndarray
-) -> np.ndarray:
+def _first_in_block(functions: Functions, points: np.ndarray, index: np.ndarray) -> np.ndarray:
     """Find the first zero of each function between these points; NaN where there is none."""
     found = np.full(len(index), np.nan)
-    values = function(points, index[:, None])
+    values = functions(points, index[:, None])
     sign = np.sign(np.where(np.isfinite(values), values, np.nan))
     changes = sign[:, :-1] * sign[:, 1:] <= 0  # False for NaN
     while (rows := np.flatnonzero(changes.any(axis=1))).size:
         at, of = np.argmax(changes[rows], axis=1), index[rows]
 
         def at_interval(x: np.ndarray, k: np.ndarray, of: np.ndarray = of) -> np.ndarray:
-            return function(x, of[k])
+            return functions(x, of[k])
 
         between = refine(at_interval, points[at], points[at + 1])
         found[rows] = np.where(sign[rows, at] == 0, points[at], between)

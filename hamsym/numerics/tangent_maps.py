@@ -18,6 +18,8 @@ from hamsym.numerics.linear_systems import solved
 
 _NODES = 28
 _ITERATIONS = 60
+# Of each row of each map, relative to its largest entry: every component converges by itself.
+_ACCURACY = 1e-12
 
 
 class TangentMaps:
@@ -29,9 +31,6 @@ class TangentMaps:
     - lengths: Of the windows, shape (windows,); negative backwards in time.
     - scale: Units of the components, shape (dim,). The maps are those of z / scale, the forced
       solutions are W / scale.
-    - accuracy: Of each row of each map, relative to its largest entry: every component converges by
-      itself. A forced solution counts as if the largest entry of h f / scale in the window were
-      one.
     - inside: Shape (dim, nodes, dim + forced, windows).
     - ends: Shape (windows, dim, dim + forced). Not finite where J Hess is not finite or there is no
       solution.
@@ -41,14 +40,13 @@ class TangentMaps:
     #: Positions between ``nodes``, for :meth:`defects`.
     between = (nodes[1:] + nodes[:-1]) / 2
 
-    def __init__(
-        self, jacobians: np.ndarray, lengths: np.ndarray, scale: np.ndarray, accuracy: float = 1e-12
-    ) -> None:
+    def __init__(self, jacobians: np.ndarray, lengths: np.ndarray, scale: np.ndarray) -> None:
         self._lengths, self._scale = lengths, scale
         dim, windows, nodes = len(scale), len(lengths), jacobians.shape[1]
         self.rule = collocation(nodes)
         scaled = self._in_units(jacobians)
         self._forcing = _largest(scaled[..., dim:])
+        # A forced solution converges as if the largest entry of h f / scale in the window were one.
         unit_forcing = np.where(self._forcing > 0, self._forcing, 1.0)
         scaled[..., dim:] /= unit_forcing[:, None, None]
         entries = _entries(scaled)
@@ -65,7 +63,7 @@ class TangentMaps:
             change = np.abs(moved - maps).max(axis=(1, 2))
             size = np.abs(moved).max(axis=(1, 2))
             maps = moved
-            open_ = ~(change <= accuracy * size).all(axis=0)
+            open_ = ~(change <= _ACCURACY * size).all(axis=0)
             if not open_.any() or not np.all(size < 1e100):
                 break
         for w in np.flatnonzero(open_):

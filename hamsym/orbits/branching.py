@@ -8,7 +8,7 @@ moved along the latter, and Newton's method follows across it (Keller 1977).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -36,14 +36,11 @@ def first_of_branch(
 ) -> PeriodicOrbit:
     """Compute an orbit of the family that leaves at a bifurcation.
 
+    Raise InputError if none is found.
+
     - beside: Another orbit of the family, near the bifurcation.
     - parameter: The parameter that varies along the family.
     - side: 1 or -1, the sense of the null vector.
-
-    Raises
-    ------
-    InputError
-        If no orbit is found.
     """
     for problem, arc, turns in _less_symmetric(found, parameter):
         share = turns * beside.period / problem.closing.parts
@@ -54,8 +51,10 @@ def first_of_branch(
         leaving = _leaving(problem, arc, np.concatenate(change))
         if leaving is None:
             continue
+        system, direction, units = leaving
         for amplitude in _AMPLITUDES:
-            orbit = leaving.at(side * amplitude, tol)
+            moved = side * amplitude * direction * units
+            orbit = orbit_beside(problem, arc, system, moved, (direction, units), tol)
             if orbit is not None and is_new(orbit, found.orbit, parameter, amplitude, tol):
                 return orbit
     name, value = "energy", found.orbit.energy
@@ -106,31 +105,14 @@ def _unfolded(orbit: PeriodicOrbit, turns: int) -> Arc:
     )
 
 
-@dataclass(frozen=True)
-class _Leaving:
-    """The direction of a family that leaves at an arc.
-
-    - direction: States at the ends of windows, whose root mean square is 1 in natural units, the
-      period and the parameter.
-    - units: Of these.
-    """
-
-    problem: Problem
-    arc: Arc
-    system: NewtonSystem
-    direction: np.ndarray
-    units: np.ndarray
-
-    def at(self, distance: float, tol: float) -> PeriodicOrbit | None:
-        """The orbit at a distance, or None."""
-        change, along = distance * self.direction * self.units, (self.direction, self.units)
-        return orbit_beside(self.problem, self.arc, self.system, change, along, tol)
-
-
-def _leaving(problem: Problem, arc: Arc, along: np.ndarray) -> _Leaving | None:
+def _leaving(
+    problem: Problem, arc: Arc, along: np.ndarray
+) -> tuple[NewtonSystem, np.ndarray, np.ndarray] | None:
     """The null vector that leads away from the family, or None if there is no second one.
 
     - along: Changes of all unknowns to a neighbour of the family, shape (n,).
+    - returns: Newton's system, and the direction with its units: states at the ends of windows,
+      whose root mean square is 1 in natural units, the period and the parameter.
     """
     with np.errstate(all="ignore"):
         system = NewtonSystem(problem, arc, slice_of(problem, arc))
@@ -151,7 +133,7 @@ def _leaving(problem: Problem, arc: Arc, along: np.ndarray) -> _Leaving | None:
     if not 0 < size < np.inf:
         return None
     largest = found[np.argmax(np.abs(found[:count]))]
-    return _Leaving(problem, arc, system, found / size * np.sign(largest), units)
+    return system, found / size * np.sign(largest), units
 
 
 def _extents(problem: Problem, arc: Arc) -> np.ndarray:

@@ -10,7 +10,6 @@ number of windows. What is left is a small dense system.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import scipy
@@ -19,17 +18,6 @@ from scipy.linalg import lapack
 #: Reciprocal condition number of a system without a unique solution, up to round-off.
 SINGULAR = 1e-11
 _RANK = 1e-8  # singular values relative to the largest that count as zero
-
-
-@dataclass(frozen=True)
-class _Eliminated:
-    """R z_k = right - first z_0 - next z_(k+1) - numbers g."""
-
-    triangle: np.ndarray
-    first: np.ndarray
-    next: np.ndarray
-    numbers: np.ndarray
-    right: np.ndarray
 
 
 class CondensedWindows:
@@ -45,7 +33,8 @@ class CondensedWindows:
     def __init__(self, maps: np.ndarray, numbers: np.ndarray, right: np.ndarray) -> None:
         dim = maps.shape[1]
         self._dim = dim
-        self._eliminated: list[_Eliminated] = []
+        #: Of each state between: R, and the rest of R z_k = r - F z_0 - N z_(k+1) - B g.
+        self._eliminated: list[tuple[np.ndarray, ...]] = []
         first, last, free, rest = maps[0], -np.eye(dim), numbers[0], right[0]
         if not (np.isfinite(maps).all() and np.isfinite(numbers).all()):
             first = np.full((dim, dim), math.nan)
@@ -58,10 +47,7 @@ class CondensedWindows:
             q, triangle = np.linalg.qr(np.concatenate([last, maps[k]]), mode="complete")
             columns = q.T @ columns
             parts = np.split(columns, [dim, 2 * dim, columns.shape[1] - 1], axis=1)
-            by_first, by_next, by_numbers, constant = (part[:dim] for part in parts)
-            self._eliminated.append(
-                _Eliminated(triangle[:dim], by_first, by_next, by_numbers, constant[:, 0])
-            )
+            self._eliminated.append((triangle[:dim], *(part[:dim] for part in parts)))
             first, last, free = (part[dim:] for part in parts[:3])
             rest = parts[3][dim:, 0]
         self.matrix, self.right = np.hstack([first, last, free]), rest
@@ -74,11 +60,11 @@ class CondensedWindows:
         dim = self._dim
         first, last, numbers = np.split(solution, [dim, 2 * dim])
         found = [last]
-        for step in reversed(self._eliminated):
-            right = -step.first @ first - step.next @ found[-1] - step.numbers @ numbers
+        for triangle, by_first, by_next, by_numbers, constant in reversed(self._eliminated):
+            right = -by_first @ first - by_next @ found[-1] - by_numbers @ numbers
             if not homogeneous:
-                right = right + step.right
-            found.append(scipy.linalg.solve_triangular(step.triangle, right, check_finite=False))
+                right = right + constant[:, 0]
+            found.append(scipy.linalg.solve_triangular(triangle, right, check_finite=False))
         found.append(first)
         return np.array(found[::-1])
 

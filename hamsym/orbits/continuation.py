@@ -137,8 +137,7 @@ class Continuation:
     @property
     def bifurcations(self) -> list[Bifurcation]:
         """Bifurcations in their order along the family."""
-        ordered = sorted(self._found, key=lambda found: found[0])
-        return [bifurcation for _, bifurcation in ordered]
+        return [found for _, found in sorted(self._found, key=lambda pair: pair[0])]
 
     def advance(self) -> None:
         """Compute the next orbit; shorten the step until it succeeds."""
@@ -165,7 +164,10 @@ class Continuation:
             self._locate(here, there, step)
             self._search_pairs(here, there, step)
             if not self.open:
-                self._end(there.orbit)
+                if (exact := self._aimed(there.orbit)) is not None:
+                    self.orbits.append(exact)
+                else:
+                    self.problem = f"no orbit at {aim.name} {aim.value:.10g}"
                 return
             self.orbits.append(there.orbit)
             shrunk = not (_extent(there.orbit) > _SHRUNK * _extent(self.orbits[0])).any()
@@ -175,12 +177,10 @@ class Continuation:
             self._here, self._before = there, (here, step)
             self._step = min(self._step * _GROWTH, self._longest)
             return
-        self.open, self.problem = (
-            False,
-            (
-                f"the family ends, or could not be followed, beyond {aim.name} "
-                f"{aim.of(here.orbit):.10g}: no orbit nearby"
-            ),
+        self.open = False
+        self.problem = (
+            f"the family ends, or could not be followed, beyond {aim.name} "
+            f"{aim.of(here.orbit):.10g}: no orbit nearby"
         )
 
     def _problem_of(self, orbit: PeriodicOrbit) -> Problem:
@@ -331,14 +331,6 @@ class Continuation:
         signs = [known[place] > 0 for place in places]
         change = next(k for k in range(1, len(places)) if signs[k] != signs[0])
         return closest, places[change] - places[change - 1]
-
-    def _end(self, near: PeriodicOrbit) -> None:
-        """Compute the orbit at the target."""
-        exact = self._aimed(near)
-        if exact is None:
-            self.problem = f"no orbit at {self._aim.name} {self._aim.value:.10g}"
-            return
-        self.orbits.append(exact)
 
     def _aimed(self, orbit: PeriodicOrbit) -> PeriodicOrbit | None:
         """The orbit exactly at the target, from one nearby."""

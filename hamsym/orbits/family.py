@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 
@@ -14,14 +13,14 @@ from hamsym.orbits.branching import LEAVING, first_of_branch
 from hamsym.orbits.continuation import Aim, Bifurcation, Continuation
 from hamsym.orbits.orbit import PeriodicOrbit
 from hamsym.support.progress import stepping_progress
-from hamsym.support.shown import Drawn, Saved
+from hamsym.support.shown import Drawn, Listed, Saved
 from hamsym.support.suggestions import checked_keywords, did_you_mean, suggest_attributes
 from hamsym.support.validation import require, require_number, require_positive, require_whole
 
 
 @suggest_attributes
 @dataclass(frozen=True, eq=False)
-class OrbitFamily(Drawn, Saved, Sequence[PeriodicOrbit]):
+class OrbitFamily(Drawn, Saved, Listed[PeriodicOrbit]):
     """Orbits along a family, in the order of their computation; a sequence of PeriodicOrbit.
 
     ``plot()`` draws period, orbits and largest multiplier over the energy or the parameter;
@@ -38,6 +37,8 @@ class OrbitFamily(Drawn, Saved, Sequence[PeriodicOrbit]):
     parameter : str or None
         The parameter that varies.
     """
+
+    _FIELD = "orbits"
 
     orbits: tuple[PeriodicOrbit, ...]
     bifurcations: tuple[Bifurcation, ...]
@@ -58,19 +59,6 @@ class OrbitFamily(Drawn, Saved, Sequence[PeriodicOrbit]):
     def H(self) -> Hamiltonian:
         """Hamiltonian of the first orbit."""
         return self.orbits[0].H
-
-    def __len__(self) -> int:
-        return len(self.orbits)
-
-    @overload
-    def __getitem__(self, index: int) -> PeriodicOrbit: ...
-    @overload
-    def __getitem__(self, index: slice) -> tuple[PeriodicOrbit, ...]: ...
-    def __getitem__(self, index: int | slice) -> PeriodicOrbit | tuple[PeriodicOrbit, ...]:
-        return self.orbits[index]
-
-    def __iter__(self) -> Iterator[PeriodicOrbit]:
-        return iter(self.orbits)
 
     def __repr__(self) -> str:
         return (

@@ -112,9 +112,17 @@ class Slice:
 
 
 def slice_of(problem: Problem, arc: Arc) -> Slice:
-    """Return the planes across all directions along which a periodic orbit can be moved."""
-    state, scale = arc.ends[0], problem.scale_of(arc)
-    kept = _closing_independent(problem, arc, scale)
+    """Return the planes across all directions along which a periodic orbit can be moved.
+
+    These lead to other orbits that close. On an orbit that does not close yet there may be more
+    integrals: the angular momentum of the centre of mass is one only while this moves, and it does
+    not along a periodic orbit.
+    """
+    state, scale, closing = arc.ends[0], problem.scale_of(arc), problem.closing
+    integrals = shared_integrals(problem.H, closing)
+    start, end = directions(integrals, state), directions(integrals, arc.ends[-1])
+    gaps = end - closing.shift(start) if closing.last is None else (end - closing.last(end)) / 2
+    kept = tuple(_independent(problem.H, integrals, state, scale, gaps))
     rows = directions(kept, state)
     if problem.autonomous and not problem.conservative:
         rows = vector_field_at(problem.H, state, problem.start)[None]
@@ -132,18 +140,6 @@ def independent_integrals(
     """Return integrals of H whose gradients at a state are independent."""
     found = integrals_of(H)
     return _independent(H, found, state, scale, np.zeros((len(found), len(state))))
-
-
-def _closing_independent(problem: Problem, arc: Arc, scale: np.ndarray) -> tuple[Hamiltonian, ...]:
-    """Return independent integrals whose directions lead to other orbits that close.
-
-    On an orbit that does not close yet there may be more integrals: the angular momentum of the
-    centre of mass is one only while this moves, and it does not along a periodic orbit.
-    """
-    closing, integrals = problem.closing, shared_integrals(problem.H, problem.closing)
-    start, end = directions(integrals, arc.ends[0]), directions(integrals, arc.ends[-1])
-    gaps = end - closing.shift(start) if closing.last is None else (end - closing.last(end)) / 2
-    return tuple(_independent(problem.H, integrals, arc.ends[0], scale, gaps))
 
 
 def _independent(

@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import Annotated, Any, cast
 
 import numpy as np
 
@@ -40,9 +40,6 @@ from hamsym.support.record_fields import AnyFloat, Limit, Size, floats
 from hamsym.support.shown import Drawn, Saved
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.validation import checked_numbers, require_number, require_positive
-
-if TYPE_CHECKING:
-    from hamsym.solution.solution import Solution
 
 _REPETITIONS = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31)
 _SAME = 1e-6  # distance of states that are the same, relative to the motion

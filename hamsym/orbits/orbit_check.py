@@ -23,12 +23,10 @@ _NEAR = 8 * 2.0**-52  # fractions of an arc beside the one that is meant
 def check_orbit(orbit: PeriodicOrbit, known: np.ndarray, states: np.ndarray) -> None:
     """Require that an orbit evaluates its proven states, and its stored ones in between.
 
+    Raise CertificationError if it does not.
+
     - known, states: Fractions of the arc, shape (n,), and what the proof is about there, shape (n,
       dim).
-
-    Raises
-    ------
-    CertificationError
     """
     arc, closing, start = orbit.arc, orbit.problem.closing, orbit.problem.start
     if not (np.array_equal(orbit.z0, arc.ends[0]) and orbit.period == arc.period):

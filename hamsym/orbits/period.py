@@ -82,9 +82,9 @@ def has_period(H: Hamiltonian, period: sympy.Expr, rounding: float) -> bool:
     form = H.real_equations
     if form.time is None:
         return True
-    values = {s: rational(value) for s, value in form.parameters.values() if value is not None}
-    duration = without_floats(period).xreplace(values)
-    energy, *forces = (without_floats(formula).xreplace(values) for formula in form.formulas)
+    duration, energy, *forces = (
+        without_floats(formula).xreplace(form.fractions) for formula in (period, *form.formulas)
+    )
     changes = [_later(f, form.time, duration, rounding) - f for f in (energy, *forces)]
     # A change of the energy that is the same at all states acts on none.
     slopes = [sympy.diff(changes[0], symbol) for symbol in form.z]
@@ -114,10 +114,8 @@ def exact_period(problem: Problem) -> Ball:
     """The given period."""
     if problem.exact_period is None:
         raise CertificationError("the orbit has no exact period; find it with period=")
-    own = problem.H.real_equations.parameters
-    exact = without_floats(problem.exact_period.formula).xreplace(
-        {symbol: rational(value) for symbol, value in own.values() if value is not None}
-    )
+    values = problem.H.real_equations.fractions
+    exact = without_floats(problem.exact_period.formula).xreplace(values)
     middle = float(exact.evalf(40))
     known = exact.is_Rational and exact == rational(middle)
     return Ball(middle, 0.0 if known else math.ulp(middle))

@@ -19,7 +19,7 @@ from operator import mul
 from typing import TYPE_CHECKING
 
 import numpy as np
-from flint import arb, arb_mat
+from flint import arb
 
 import hamsym
 from hamsym.errors import CertificationError
@@ -27,7 +27,7 @@ from hamsym.orbits.arc import Problem
 from hamsym.orbits.certificate import OrbitCertificate, orbit_digest, statement_of
 from hamsym.orbits.orbit_check import check_orbit
 from hamsym.orbits.proven_stability import proven_stability
-from hamsym.orbits.quotients import Directions, scaled, shift_derivative
+from hamsym.orbits.quotients import Directions, ShiftDerivative, scaled
 from hamsym.orbits.square_system import Enclosed, SquareSystem
 from hamsym.orbits.symmetry import SignedPermutation, is_unchanged
 from hamsym.proof.arithmetic.ball import Ball
@@ -220,14 +220,16 @@ class _Proof:
         places = [vector_of(system.start(k, radii)) for k in range(system.pieces)]
         places.append(found.end(-1))
         maps = [scaled(matrix_of(matrix), units) for matrix in found.maps]
-        whole = shift_derivative(problem.closing, maps, units)
+        derivative = ShiftDerivative(problem.closing, maps, units)
+        whole = derivative.whole()
         try:
             across = Directions(problem, system.states[0], system.scale).at(places, units)
-            reduced = shift_derivative(problem.closing, maps, units, across)
+            reduced = derivative.across(across)
             power = reduce(mul, [whole] * problem.closing.order)
             stability = proven_stability(reduced, power, forced=bool(orbit.H.forces))
         except ZeroDivisionError:  # which multipliers are trivial is not proven
             stability = "undecided"
+        monodromy = scaled(whole.tolist(), [1 / unit for unit in units]).entries()
         bound = system.distance(radii)
         statement = statement_of(problem, period, bound, unique, stability, system.pieces)
         return OrbitCertificate(
@@ -235,7 +237,7 @@ class _Proof:
             period,
             bound,
             unique,
-            _ball(scaled(whole.tolist(), [1 / unit for unit in units])),
+            Ball(*(np.array(part).reshape(whole.nrows(), -1) for part in float_balls(monodromy))),
             stability,
             system.pieces,
             time.monotonic() - self._began,
@@ -263,21 +265,13 @@ def _require_symmetry(problem: Problem) -> None:
     H, closing = problem.H, problem.closing
     if H.forces and closing.parts > 1:
         raise CertificationError("forces may not share the symmetry of the orbit; leave it out")
-    identity = SignedPermutation.identity(H.dim)
-    if closing.first is not None and closing.last is not None:
-        maps = {closing.first, closing.last}
-        fits = all(one.time_direction == -1 and one.order == 2 for one in maps)
-        fits = fits and closing.shift == closing.last.after(closing.first)
-    else:
-        maps = {closing.shift} - {identity}
-        fits = closing.first is closing.last and closing.shift.time_direction == 1
-    if not (fits and (problem.autonomous or closing.parts == 1)):
+    try:
+        closing.check()
+        fits = problem.autonomous or closing.parts == 1
+    except ValueError:
+        fits = False
+    if not fits:
         raise CertificationError("the symmetry of the orbit does not close an orbit")
-    if not all(is_unchanged(H, one) for one in maps):
+    maps = {one for one in (closing.first, closing.last) if one is not None} or {closing.shift}
+    if not all(is_unchanged(H, one) for one in maps - {SignedPermutation.identity(H.dim)}):
         raise CertificationError("H changes under the symmetry of the orbit")
-
-
-def _ball(matrix: arb_mat) -> Ball:
-    shape = matrix.nrows(), matrix.ncols()
-    middle, radius = float_balls(matrix.entries())
-    return Ball(np.array(middle).reshape(shape), np.array(radius).reshape(shape))

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -32,80 +33,72 @@ _RANK = 1e-10  # singular values relative to the largest that count as zero
 _Across = tuple[arb_mat, arb_mat]
 
 
-def shift_derivative(
-    closing: Closing,
-    maps: Sequence[arb_mat],
-    units: Sequence[arb],
-    across: Sequence[_Across] | None = None,
-) -> arb_mat:
-    """Return the derivative over one shift, and back by it, of an orbit, in units.
+@dataclass(frozen=True)
+class ShiftDerivative:
+    """The derivative over one shift, and back by it, of an orbit, in units."""
 
-    - maps: Derivatives of the pieces of the arc, in units of the components.
-    - units: These.
-    - across: Slopes and fields at the starts of the pieces and at the end of the last one: then the
-      derivative of the directions across the slopes modulo the fields, in a basis of its own.
-      ZeroDivisionError is raised if these may be dependent.
-    """
-    if across is None:
-        return _whole(closing, maps, units)
-    start = _Quotient(*across[0])
-    middle = _middles(_closed(closing, maps, units, across, start))
-    if not np.isfinite(middle).all():
-        raise ZeroDivisionError
-    # again, in a basis of eigenvectors
-    values, vectors = np.linalg.eig(middle)
-    basis = np.where(values.imag >= 0, vectors.real, vectors.imag)
-    if len(basis) and not np.linalg.cond(basis) < _PARALLEL:
-        basis = np.eye(len(basis))
-    return _closed(closing, maps, units, across, _Quotient(*across[0], start.across @ basis))
+    closing: Closing
+    #: Derivatives of the pieces of the arc, in units of the components.
+    maps: Sequence[arb_mat]
+    #: These.
+    units: Sequence[arb]
 
+    def whole(self) -> arb_mat:
+        """The derivative of all directions, whose inverse is that of a symplectic matrix."""
+        closing, dim = self.closing, self.maps[0].nrows()
+        nothing = arb_mat(0, dim), arb_mat(dim, 0)
+        places = [nothing] * (len(self.maps) + 1)
+        end, through = self._through(places, _Quotient(*nothing, np.eye(dim)))
+        through = end.within * through
+        if closing.first is None or closing.last is None:
+            return self._signed(closing.shift).inv() * through
+        J, units = poisson_matrix(dim // 2).tolist(), self.units
+        rows = list(zip(J, units, strict=True))
+        covariant = [[v * a * b for v, a in zip(row, units, strict=True)] for row, b in rows]
+        contravariant = [[v / a / b for v, a in zip(row, units, strict=True)] for row, b in rows]
+        inverse = -arb_mat(contravariant) * through.transpose() * arb_mat(covariant)
+        return self._signed(closing.first) * inverse * self._signed(closing.last) * through
 
-def _whole(closing: Closing, maps: Sequence[arb_mat], units: Sequence[arb]) -> arb_mat:
-    """The derivative of all directions, whose inverse is that of a symplectic matrix."""
-    dim = maps[0].nrows()
-    nothing = arb_mat(0, dim), arb_mat(dim, 0)
-    end, through = _through(maps, [nothing] * (len(maps) + 1), _Quotient(*nothing, np.eye(dim)))
-    through = end.within * through
-    if closing.first is None or closing.last is None:
-        return _signed(closing.shift, units).inv() * through
-    J = poisson_matrix(dim // 2).tolist()
-    covariant = arb_mat(
-        [[v * a * b for v, a in zip(r, units, strict=True)] for r, b in zip(J, units, strict=True)]
-    )
-    contravariant = arb_mat(
-        [[v / a / b for v, a in zip(r, units, strict=True)] for r, b in zip(J, units, strict=True)]
-    )
-    inverse = -contravariant * through.transpose() * covariant
-    first, last = (_signed(each, units) for each in (closing.first, closing.last))
-    return first * inverse * last * through
+    def across(self, places: Sequence[_Across]) -> arb_mat:
+        """The derivative of the directions across slopes modulo fields, in a basis of its own.
 
+        Raise ZeroDivisionError if these may be dependent.
 
-def _closed(
-    closing: Closing,
-    maps: Sequence[arb_mat],
-    units: Sequence[arb],
-    across: Sequence[_Across],
-    start: _Quotient,
-) -> arb_mat:
-    """The derivative of the directions of a quotient."""
-    end, through = _through(maps, across, start)
-    if closing.first is None or closing.last is None:
-        return start.coordinates(_signed(closing.shift, units).inv() * end.within) * through
-    first = start.coordinates(_signed(closing.first, units) * start.within)
-    last = end.coordinates(_signed(closing.last, units) * end.within)
-    return first * through.solve(last * through)
+        - places: Slopes and fields at the starts of the pieces and at the end of the last one.
+        """
+        start = _Quotient(*places[0])
+        middle = _middles(self._closed(places, start))
+        if not np.isfinite(middle).all():
+            raise ZeroDivisionError
+        # again, in a basis of eigenvectors
+        values, vectors = np.linalg.eig(middle)
+        basis = np.where(values.imag >= 0, vectors.real, vectors.imag)
+        if len(basis) and not np.linalg.cond(basis) < _PARALLEL:
+            basis = np.eye(len(basis))
+        return self._closed(places, _Quotient(*places[0], start.across @ basis))
 
+    def _closed(self, places: Sequence[_Across], start: _Quotient) -> arb_mat:
+        """The derivative of the directions of a quotient."""
+        end, through = self._through(places, start)
+        closing = self.closing
+        if closing.first is None or closing.last is None:
+            return start.coordinates(self._signed(closing.shift).inv() * end.within) * through
+        first = start.coordinates(self._signed(closing.first) * start.within)
+        last = end.coordinates(self._signed(closing.last) * end.within)
+        return first * through.solve(last * through)
 
-def _through(
-    maps: Sequence[arb_mat], across: Sequence[_Across], start: _Quotient
-) -> tuple[_Quotient, arb_mat]:
-    """The quotient at the end of the arc, and the derivative from that at its start."""
-    here, through = start, start.coordinates(start.within)
-    for k, matrix in enumerate(maps):
-        there = here.followed(matrix, *across[k + 1])
-        through = there.coordinates(matrix * here.within) * through
-        here = there
-    return here, through
+    def _through(self, places: Sequence[_Across], start: _Quotient) -> tuple[_Quotient, arb_mat]:
+        """The quotient at the end of the arc, and the derivative from that at its start."""
+        here, through = start, start.coordinates(start.within)
+        for k, matrix in enumerate(self.maps):
+            there = here.followed(matrix, *places[k + 1])
+            through = there.coordinates(matrix * here.within) * through
+            here = there
+        return here, through
+
+    def _signed(self, symmetry: SignedPermutation) -> arb_mat:
+        """The matrix of a symmetry, in units."""
+        return scaled(symmetry.matrix.tolist(), self.units)
 
 
 class Directions:
@@ -238,11 +231,6 @@ def _middles(matrix: Any) -> np.ndarray:
     """Mid-points of a matrix of balls."""
     entries = [float(entry.mid()) for entry in matrix.entries()]
     return np.array(entries).reshape(matrix.nrows(), matrix.ncols())
-
-
-def _signed(symmetry: SignedPermutation, units: Sequence[arb]) -> arb_mat:
-    """The matrix of a symmetry, in units."""
-    return scaled(symmetry.matrix.tolist(), units)
 
 
 def scaled(matrix: Sequence[Sequence[Any]], units: Sequence[arb]) -> arb_mat:

@@ -329,7 +329,7 @@ def refined(problem: Problem, arc: Arc) -> Found:
         edges = found.arc.edges
         middles = (edges[1:] + edges[:-1])[wide] / 2
         if len(edges) + len(middles) > _most_windows(problem.H):
-            return replace(found, failure="the orbit was not resolved by the windows")
+            break
         found = converged(problem, found.arc.on(np.sort(np.append(edges, middles)), nodes))
     return replace(found, failure="the orbit was not resolved by the windows")
 

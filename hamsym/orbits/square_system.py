@@ -97,7 +97,6 @@ class SquareSystem:
         self.middle_period = float(arc.period) if self.given is None else self.given.mid
         if not self.middle_period > 0:
             raise CertificationError("the period of the orbit is not positive")
-        self._numerical_period = self.middle_period
         self._functions = GeneratedFunctions(problem.H, BALLS)
         self._integrals = [
             self._functions if each == problem.H else GeneratedFunctions(each, BALLS)

@@ -84,11 +84,9 @@ class Array:
         return tuple(spec)
 
 
-def floats(
-    *shape: str | int, finite: bool = True, least: float = -math.inf, most: float = math.inf
-) -> Array:
+def floats(*shape: str | int, finite: bool = True, least: float = -math.inf) -> Array:
     """Make the contents of an array of float64."""
-    return Array(shape, finite=finite, least=least, most=most)
+    return Array(shape, finite=finite, least=least)
 
 
 def counts(*shape: str | int) -> Array:

@@ -130,7 +130,10 @@ class _Way:
         if isinstance(note, Array):
             return self._write_array(note, value, name)
         if isinstance(note, OneOf):
-            return self._write_form(note, value, name)
+            form, found = note.form_of(type(value)), self._apart.write(type(value), value, name)
+            if form is None:
+                raise ValueError(f"'{name}' cannot be a {type(value).__name__}")
+            return {_FORM: form, **found}
         if note is AsText and self.arrays is not None:
             text = json.dumps(_Way(None, self._lengths).write(kind, value, name))
             return self._apart._write_array(
@@ -227,12 +230,6 @@ class _Way:
         for name, length in lengths.items():
             if self._lengths.setdefault(name, length) != length:
                 raise ValueError(f"its {name} is {length} and {self._lengths[name]}")
-
-    def _write_form(self, note: OneOf, value: Any, name: str) -> dict[str, Any]:
-        form, found = note.form_of(type(value)), self._apart.write(type(value), value, name)
-        if form is None:
-            raise ValueError(f"'{name}' cannot be a {type(value).__name__}")
-        return {_FORM: form, **found}
 
     def _write_array(self, spec: Array, value: Any, name: str) -> Any:
         spec.check(name, value, self._lengths)

@@ -10,8 +10,8 @@ import importlib
 import inspect
 import os
 import pkgutil
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, overload
 
 import hamsym
 from hamsym.support.suggestions import checked_keywords
@@ -19,6 +19,8 @@ from hamsym.support.text_tables import ROWS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+R = TypeVar("R")
 
 
 class Shown:
@@ -63,6 +65,23 @@ class Saved(Shown):
             If the file cannot be written, or the result is not valid.
         """
         hamsym.save(self, path)
+
+
+class Listed(Sequence[R]):
+    """A result that is the sequence of those in one of its fields."""
+
+    _FIELD: ClassVar[str] = "found"
+
+    def __len__(self) -> int:
+        return len(getattr(self, self._FIELD))
+
+    @overload
+    def __getitem__(self, index: int) -> R: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[R, ...]: ...
+    def __getitem__(self, index: int | slice) -> R | tuple[R, ...]:
+        found: tuple[R, ...] = getattr(self, self._FIELD)
+        return found[index]
 
 
 def by_type(

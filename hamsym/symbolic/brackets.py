@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import sympy
 
@@ -52,11 +52,17 @@ def written_function(
                 f"use only {', '.join(listed[:_LISTED])}{', ...' * (len(listed) > _LISTED)}"
             )
         replaced[symbol] = sympy.Symbol(name, real=True)
-    renamed = {own: new for own, new in replaced.items() if own != new}
-    if not renamed:
+    return renamed(expr, written, {own: new for own, new in replaced.items() if own != new})
+
+
+def renamed(
+    expr: sympy.Expr, written: Written, symbols: Mapping[sympy.Symbol, sympy.Symbol]
+) -> tuple[sympy.Expr, Written]:
+    """Replace symbols in an expression, and in the terms of its sums."""
+    if not symbols:
         return expr, written
-    return expr.xreplace(renamed), {
-        total.xreplace(renamed): tuple(term.xreplace(renamed) for term in terms)
+    return expr.xreplace(symbols), {
+        total.xreplace(symbols): tuple(term.xreplace(symbols) for term in terms)
         for total, terms in written.items()
     }
 

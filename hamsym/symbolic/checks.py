@@ -149,24 +149,26 @@ def state_symbol(
 
 
 def check_state(state: Sequence[sympy.Symbol], half: int, values: Mapping[str, float]) -> None:
-    """Refuse a state with unpaired or repeated components, or with a parameter in it.
-
-    Raises
-    ------
-    VariableError
-    """
+    """Raise VariableError of a state with unpaired or repeated components, or with a parameter."""
     if 2 * half != len(state) or not half:
         raise VariableError(
             f"{half} coordinates and {len(state) - half} momenta do not pair; give one p for each q"
         )
-    names = [canonical_name(symbol.name) for symbol in state]
-    for i, symbol in enumerate(state):
-        if names[i] in names[:i]:
-            raise VariableError(f"'{symbol.name}' occurs twice in q and p; name each once")
+    check_roles(state, values, "in q and p")
+
+
+def check_roles(symbols: Iterable[sympy.Symbol], values: Mapping[str, float], where: str) -> None:
+    """Raise VariableError of a symbol that occurs twice, or is a parameter as well."""
+    seen: set[str] = set()
+    for symbol in symbols:
+        name = canonical_name(symbol.name)
+        if name in seen:
+            raise VariableError(f"'{symbol.name}' occurs twice {where}; name each once")
         if symbol.name in values:
             raise VariableError(
                 f"'{symbol.name}' is a variable and a parameter; leave it out of one of them"
             )
+        seen.add(name)
 
 
 def check_steps(expr: sympy.Expr, state: Sequence[sympy.Symbol]) -> None:

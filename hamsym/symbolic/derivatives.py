@@ -16,6 +16,7 @@ from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 import sympy
+from sympy.utilities.iterables import connected_components
 
 from hamsym.errors import CodeGenerationError
 
@@ -137,11 +138,14 @@ def _diff(expr: sympy.Expr, symbol: sympy.Symbol) -> sympy.Expr:
 
 
 def _partial_derivatives(
-    term: sympy.Expr, symbols: Collection[sympy.Symbol]
+    term: sympy.Expr, symbols: Collection[sympy.Symbol], effort: Effort | None = None
 ) -> Iterator[tuple[sympy.Symbol, sympy.Expr]]:
     """Yield derivatives of a term with respect to the given symbols that it contains."""
     for symbol in term.free_symbols & symbols:
-        yield symbol, _product(_derivative(term, symbol))
+        derivative = _product(_derivative(term, symbol))
+        if effort:
+            effort.spend(derivative)
+        yield symbol, derivative
 
 
 class Effort:
@@ -194,9 +198,7 @@ def gradient(
     position = {variable: i for i, variable in enumerate(variables)}
     parts: list[list[sympy.Expr]] = [[] for _ in variables]
     for term in sympy.Add.make_args(expr):
-        for symbol, derivative in _partial_derivatives(term, position.keys()):
-            if effort:
-                effort.spend(derivative)
+        for symbol, derivative in _partial_derivatives(term, position.keys(), effort):
             parts[position[symbol]].append(derivative)
     return [sympy.Add(*part) for part in parts]
 
@@ -232,9 +234,7 @@ def hessian(
     for i, slope in enumerate(first):
         later = {variable: j for variable, j in position.items() if j >= i}
         for term in sympy.Add.make_args(slope):
-            for symbol, derivative in _partial_derivatives(term, later.keys()):
-                if effort:
-                    effort.spend(derivative)
+            for symbol, derivative in _partial_derivatives(term, later.keys(), effort):
                 parts[i, later[symbol]].append(derivative)
     entries: dict[tuple[int, int], sympy.Expr] = {}
     for (i, j), part in sorted(parts.items()):
@@ -270,13 +270,7 @@ def connected_blocks(pairs: Sequence[tuple[int, int]], size: int) -> list[list[i
     >>> connected_blocks([(0, 2), (2, 0)], 3)
     [[0, 2], [1]]
     """
-    block = {i: [i] for i in range(size)}
-    for i, j in pairs:
-        if block[i] is not block[j]:
-            block[i].extend(block[j])
-            for k in block[j]:
-                block[k] = block[i]
-    return sorted({id(members): sorted(members) for members in block.values()}.values())
+    return sorted(map(sorted, connected_components((list(range(size)), pairs))))
 
 
 def smallest_singular_value(
@@ -419,32 +413,14 @@ def switches(
         high, low = sympy.Integer(1), sympy.Integer(-1 if isinstance(step, sympy.sign) else 0)
         jumps = [term.xreplace({step: high}) - term.xreplace({step: low}) for term in jumping]
         found.append((step.args[0], jumps))
-    for angle, jumps in _angle_jumps(expr, gradient, z):
+    for angle, jumps in angle_jumps(expr, gradient, z):
         if any(jump != 0 for jump in jumps[:-1]):
             beyond = sympy.Heaviside(-angle.args[1])  # the cut is the negative half of an axis
             found.append((angle.args[0], [beyond * jump for jump in jumps]))
     return found
 
 
-def has_angle_cut(
-    expr: sympy.Expr, gradient: Sequence[sympy.Expr], z: Sequence[sympy.Symbol]
-) -> bool:
-    """Whether H jumps by a constant at the cut of an angle atan2, and its gradient does not.
-
-    Examples
-    --------
-    >>> x, y = sympy.symbols("x y", real=True)
-    >>> angle = sympy.atan2(y, x)
-    >>> [has_angle_cut(H, gradient(H, (x, y)), (x, y)) for H in (angle, angle**2, x + y)]
-    [True, False, False]
-    """
-    return any(
-        jumps[-1] != 0 and all(jump == 0 for jump in jumps[:-1])
-        for _, jumps in _angle_jumps(expr, gradient, z)
-    )
-
-
-def _angle_jumps(
+def angle_jumps(
     expr: sympy.Expr, gradient: Sequence[sympy.Expr], z: Sequence[sympy.Symbol]
 ) -> Iterator[tuple[sympy.Expr, list[sympy.Expr]]]:
     """Jumps of the gradient, then of H, at the cut of each angle atan2."""

@@ -57,11 +57,11 @@ class DifferentialRing:
         self.ring: PolyRing = ring(self.symbols, sympy.QQ)[0]
         self._index = {symbol: i for i, symbol in enumerate(self.symbols)}
         self._parts = {
-            symbol: tuple(self._polynomial(part) for part in generator.parts)
+            symbol: tuple(map(self.ring.from_expr, generator.parts))
             for symbol, generator in self._generators.items()
         }
         self._elements = {
-            expr: self._polynomial(element)
+            expr: self.ring.from_expr(element)
             for expr, element in zip(wanted, self.generators.formulas, strict=True)
         }
         d = len(self.z) // 2
@@ -91,9 +91,6 @@ class DifferentialRing:
             and not any(rates[symbol] for rates in self._partial)
         ]
 
-    def _polynomial(self, element: sympy.Expr) -> PolyElement:
-        return self.ring.from_expr(element)
-
     # -- derivatives -------------------------------------------------------------------------
 
     def _derivation(
@@ -102,8 +99,7 @@ class DifferentialRing:
         """Return the derivatives of all generators from those of the state and the time."""
         rates: dict[sympy.Symbol, PolyElement] = {}
         for symbol, generator in self._generators.items():
-            own = self.ring.gens[self._index[symbol]]
-            parts = self._parts[symbol]
+            own, parts = self._gen(symbol), self._parts[symbol]
             slope = self._derive(parts[0], rates) if parts else self.ring(0)
             match generator.kind:
                 case "state":
@@ -129,9 +125,8 @@ class DifferentialRing:
                     assert generator.partner is not None
                     rates[symbol] = slope * self._gen(generator.partner)
                 case "log":
-                    rates[symbol] = slope * self._polynomial(
-                        self.generators.inverse(generator.parts[0])
-                    )
+                    inverse = self.generators.inverse(generator.parts[0])
+                    rates[symbol] = slope * self.ring.from_expr(inverse)
                 case _:
                     rates[symbol] = slope * parts[1]
         return rates

@@ -12,7 +12,7 @@ from hamsym.formula.notation import Notation
 from hamsym.support.shown import Shown
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.checks import real_symbols
-from hamsym.symbolic.exact import ExactDerivatives
+from hamsym.symbolic.exact import ExactDerivatives, rational
 
 
 class Equations(Shown):
@@ -95,6 +95,16 @@ class Equations(Shown):
             sympy.Tuple(self.expr, *self.forces) if self.forces else self.expr
         )
 
+    @cached_property
+    def values(self) -> dict[sympy.Symbol, float]:
+        """Values of the parameters that have one."""
+        return {symbol: value for symbol, value in self.parameters.values() if value is not None}
+
+    @cached_property
+    def fractions(self) -> dict[sympy.Symbol, sympy.Rational]:
+        """These values, exactly."""
+        return {symbol: rational(value) for symbol, value in self.values.items()}
+
     @property
     def formulas(self) -> tuple[sympy.Expr, ...]:
         """H and the forces."""
@@ -120,7 +130,10 @@ class Equations(Shown):
 
     @cached_property
     def hessian(self) -> dict[tuple[int, int], sympy.Expr]:
-        entries = {index: self.exact.rounded(entry) for index, entry in self.exact.hessian.items()}
+        return self._rounded(self.exact.hessian)
+
+    def _rounded(self, exact: dict[tuple[int, int], sympy.Expr]) -> dict[Any, sympy.Expr]:
+        entries = {index: self.exact.rounded(entry) for index, entry in exact.items()}
         return {index: entry for index, entry in entries.items() if entry != 0}
 
     @cached_property
@@ -141,10 +154,7 @@ class Equations(Shown):
     @cached_property
     def curvature(self) -> dict[tuple[int, int], sympy.Expr]:
         """Nonzero derivatives of ``slopes`` by (i, j): the Hessian without forces."""
-        if not self.forces:
-            return self.hessian
-        entries = {k: self.exact.rounded(entry) for k, entry in self.exact.curvature.items()}
-        return {index: entry for index, entry in entries.items() if entry != 0}
+        return self._rounded(self.exact.curvature) if self.forces else self.hessian
 
     @cached_property
     def stored_curvature(self) -> dict[tuple[int, int], sympy.Expr]:
@@ -196,8 +206,17 @@ class Equations(Shown):
 
     @cached_property
     def has_angle_cut(self) -> bool:
-        """Whether H jumps at the cut of an angle atan2, at which the equations are smooth."""
-        return derivatives.has_angle_cut(self.expr, self.slopes, self.z)
+        """Whether H jumps at the cut of an angle atan2, at which the equations are smooth.
+
+        Examples
+        --------
+        >>> x, p = sympy.symbols("x p", real=True)
+        >>> angle = sympy.atan2(p, x)
+        >>> [Equations(H, [x, p], None, {}).has_angle_cut for H in (angle, angle**2, x + p)]
+        [True, False, False]
+        """
+        jumps = (each for _, each in derivatives.angle_jumps(self.expr, self.slopes, self.z))
+        return any(jump != 0 and all(slope == 0 for slope in slopes) for *slopes, jump in jumps)
 
     def resting(self, z: Sequence[float], candidates: Iterable[int]) -> list[int]:
         """Components that keep exactly their values in a state, among candidates.
@@ -212,11 +231,9 @@ class Equations(Shown):
         >>> H.resting([0.0, 1.0, 0.5, 0.0], range(4))
         [1, 3]
         """
-        given = {symbol: v for symbol, v in self.parameters.values() if v is not None}
         left = set(candidates)
         while left:
-            values = given | {self.z[i]: z[i] for i in left}
-            at = {symbol: sympy.Rational(float(v)) for symbol, v in values.items()}
+            at = self.fractions | {self.z[i]: sympy.Rational(float(z[i])) for i in left}
             moving = {i for i in left if not self._rate_vanishes(i, at)}
             if not moving:
                 break

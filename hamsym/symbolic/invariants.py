@@ -70,21 +70,16 @@ def is_proven(
 def is_conserved(
     f: sympy.Expr, equations: Equations, time: sympy.Symbol | None, every: Sequence[str] = ()
 ) -> bool:
-    """Whether f is constant along every trajectory: {f, H} + F . df/dp + df/dt = 0.
+    """Whether f is constant along every trajectory; see Hamiltonian.is_conserved.
 
-    As long as f is smooth there: atan(p/x) jumps where x is zero. Functions that are nothing but
-    steps, as abs(x)/x, are refused, and those with a denominator that is identically zero.
+    Functions that are nothing but steps, as abs(x)/x, are refused, and those with a denominator
+    that is identically zero.
 
     - f, time: In real symbols; the time must be given if f or H contains it.
-    - every: Parameters for all values of which that must hold, not only for those they have.
     """
     if any(step.free_symbols & {*equations.z, time} for step in f.atoms(*_STEPS)):
         return False
-    values = {
-        symbol: rational(value)
-        for name, (symbol, value) in equations.parameters.items()
-        if value is not None and name not in every
-    }
+    values = {s: value for s, value in equations.fractions.items() if s.name not in every}
     # Without the values first: their fractions are long.
     for given in ({}, values) if values else ({},):
         own, H, *forces = (e.xreplace(given) for e in (f, *equations.formulas))
@@ -170,26 +165,21 @@ def find_invariants(
     """
     limit = (time.monotonic() + seconds, seconds)
     bound = {symbol: value for symbol, value in values.items() if symbol in H.free_symbols}
+    trials = ({}, bound) if bound else ({},)
     found: list[Invariant] = []
-    refused: UnsupportedFunctionError | None = None
-    try:
-        search = _Search(H, z, time_symbol, degree, basis, [], limit)
-        found += [Invariant(*result) for result in search.run()]
-    except UnsupportedFunctionError as error:  # H may have rules with the values in exponents
-        refused = error
-    if bound:
-        exact = {symbol: rational(value) for symbol, value in bound.items()}
-        named = MappingProxyType({symbol.name: value for symbol, value in bound.items()})
+    refused: list[UnsupportedFunctionError] = []
+    for given in trials:
+        exact = {symbol: rational(value) for symbol, value in given.items()}
+        named = MappingProxyType({symbol.name: value for symbol, value in given.items()})
         known = [(own.expr.xreplace(exact), own.degree) for own in found]
         functions = [function.xreplace(exact) for function in basis]
         try:
             search = _Search(H.xreplace(exact), z, time_symbol, degree, functions, known, limit)
             found += [Invariant(*result, holds_for=named) for result in search.run()]
-            refused = None
-        except UnsupportedFunctionError as error:
-            refused = refused and error
-    if refused is not None:
-        raise refused
+        except UnsupportedFunctionError as error:  # H may have rules with the values in exponents
+            refused.append(error)
+    if len(refused) == len(trials):
+        raise refused[-1]
     return found
 
 
@@ -271,12 +261,8 @@ class _Search:
         even = not timed and self._ring.is_even_in(momenta, self._ring[self._H])
         odd = [int(even and variable in momenta) for variable in self._variables]
         for exponents in self._exponents(degree):
-            key = tuple(
-                sum(e * w for e, w in zip(exponents, weight, strict=True))
-                for weight in self._weights
-            )
-            parity = sum(e * w for e, w in zip(exponents, odd, strict=True)) % 2
-            groups.setdefault((*key, parity), []).append(exponents)
+            key = (*(_dot(exponents, weight) for weight in self._weights), _dot(exponents, odd) % 2)
+            groups.setdefault(key, []).append(exponents)
         largest = max(len(group) for group in groups.values())
         if largest > _MOST_MONOMIALS:
             raise InputError(
@@ -291,10 +277,7 @@ class _Search:
         """Weights of the variables for which the equations are homogeneous."""
         found = []
         for grading in self._ring.gradings():
-            sums = [
-                {sum(e * w for e, w in zip(exponents, grading, strict=True)) for exponents in each}
-                for each in self._elements
-            ]
+            sums = [{_dot(exponents, grading) for exponents in each} for each in self._elements]
             if all(len(own) == 1 for own in sums):
                 found.append([own.pop() for own in sums])
         return found
@@ -475,6 +458,10 @@ class _Search:
             ]
         )
         return len(_echelon(gradients)[1]) > len(_echelon(gradients[:-1])[1])
+
+
+def _dot(exponents: Sequence[int], weights: Sequence[int]) -> int:
+    return sum(e * w for e, w in zip(exponents, weights, strict=True))
 
 
 def _product(factors: Sequence[np.ndarray], count: int) -> np.ndarray:

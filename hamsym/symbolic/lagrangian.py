@@ -20,6 +20,7 @@ from hamsym.symbolic import derivatives
 from hamsym.symbolic.checks import (
     as_list,
     by_name,
+    check_roles,
     checked_expression,
     checked_values,
     real_symbols,
@@ -165,10 +166,7 @@ def read_lagrangian(
 ) -> Lagrangian:
     """Assign a role to each symbol of a Lagrangian and compute its Legendre transform.
 
-    Raise ParseError, InputError if the expression is not a formula, or the transform does not exist
-    or is not found. Raise VariableError if velocities are ambiguous or missing, or names do not fit
-    the expression. Raise ParameterError if a value is not a finite real number or belongs to no
-    symbol.
+    Raise the errors of :meth:`hamsym.Hamiltonian.from_lagrangian`.
 
     Examples
     --------
@@ -252,19 +250,8 @@ def _check_roles(
             "{} coordinates, {} velocities and {} momenta do not pair; give one of each kind for "
             "each degree of freedom".format(*counts)
         )
-    seen: set[str] = set()
-    for symbol in (*coordinates, *rates, *momenta):
-        name = canonical_name(symbol.name)
-        if name in seen:
-            raise VariableError(
-                f"'{symbol.name}' occurs twice among coordinates, velocities and momenta; name "
-                "each once"
-            )
-        if symbol.name in values:
-            raise VariableError(
-                f"'{symbol.name}' is a variable and a parameter; leave it out of one of them"
-            )
-        seen.add(name)
+    every = (*coordinates, *rates, *momenta)
+    check_roles(every, values, "among coordinates, velocities and momenta")
     taken = {canonical_name(name): name for name in symbols}
     for symbol in momenta:
         if canonical_name(symbol.name) in taken:

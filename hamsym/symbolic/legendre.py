@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import sympy
@@ -62,7 +62,8 @@ def legendre_transform(
             )
     try:
         with call_limit(MAX_EFFORT, MAX_SECONDS):
-            found = _Transform(expr, slots, duals, state, parameters or {}).found()
+            pairs = dict(zip(slots, duals, strict=True))
+            found = _Transform(pairs, {*state}, parameters or {}).of(expr)
             _check_finite(expr, found, parameters or {})
             return found
     except CallLimitExceededError:
@@ -92,57 +93,48 @@ def _check_finite(
         )
 
 
+@dataclass(frozen=True)
 class _Transform:
-    """The Legendre transform of one expression, block by block."""
+    """The Legendre transform, block by block."""
 
-    def __init__(
-        self,
-        expr: sympy.Expr,
-        slots: Sequence[sympy.Symbol],
-        duals: Sequence[sympy.Symbol],
-        state: Collection[sympy.Symbol],
-        parameters: Mapping[sympy.Symbol, float],
-    ) -> None:
-        self.slots, self.state, self.parameters = list(slots), {*state}, parameters
-        self.duals = dict(zip(slots, duals, strict=True))
-        self.expr, self.first, self.second = self._derived(expr)
+    #: Momenta by velocity.
+    duals: Mapping[sympy.Symbol, sympy.Symbol]
+    state: set[sympy.Symbol]
+    parameters: Mapping[sympy.Symbol, float]
 
     def _derived(
         self, expr: sympy.Expr
     ) -> tuple[sympy.Expr, list[sympy.Expr], dict[tuple[int, int], sympy.Expr]]:
         """F and its derivatives in s, expanded if F becomes quadratic by that."""
-        forms: list[Any] = []
+        slots = list(self.duals)
         for form in (expr, sympy.expand(expr)):
             effort = derivatives.Effort(form)
-            first = derivatives.gradient(form, self.slots, effort)
-            second = derivatives.hessian(first, self.slots, effort)
-            forms.append((form, first, second))
-            if not any(entry.has(*self.slots) for entry in second.values()):
-                return forms[-1]
+            first = derivatives.gradient(form, slots, effort)
+            second = derivatives.hessian(first, slots, effort)
+            if not any(entry.has(*slots) for entry in second.values()):
+                break
         # Expanded, its terms belong to one block each wherever that is possible.
-        return forms[1]
+        return form, first, second
 
-    def found(self) -> sympy.Expr:
+    def of(self, expr: sympy.Expr) -> sympy.Expr:
         """The transform, of each block by itself, less the terms without velocities."""
-        second = {index: entry for index, entry in self.second.items() if entry != 0}
-        origin = dict.fromkeys(self.slots, sympy.S.Zero)
-        rest = self.expr.xreplace(origin)
-        if any(e.has(*self.slots) for e in second.values()) or rest.has(*_INFINITE):
-            listed = ", ".join(symbol.name for symbol in self.slots)
+        slots = list(self.duals)
+        expr, first, second = self._derived(expr)
+        origin = dict.fromkeys(slots, sympy.S.Zero)
+        rest = expr.xreplace(origin)
+        if any(e.has(*slots) for e in second.values()) or rest.has(*_INFINITE):
+            listed = ", ".join(symbol.name for symbol in slots)
             raise InputError(f"L is not quadratic in the velocities {listed}; give H itself")
         parts = []
-        for members in derivatives.connected_blocks(list(second), len(self.slots)):
-            block = [self.slots[i] for i in members]
+        for members in derivatives.connected_blocks(list(second), len(slots)):
+            block = [slots[i] for i in members]
             matrix = {
-                (self.slots[i], self.slots[j]): second[i, j]
+                (slots[i], slots[j]): second[i, j]
                 for i in members
                 for j in members
                 if (i, j) in second
             }
-            shifted = {
-                self.slots[i]: self.duals[self.slots[i]] - self.first[i].xreplace(origin)
-                for i in members
-            }
+            shifted = {slots[i]: self.duals[slots[i]] - first[i].xreplace(origin) for i in members}
             parts.append(self._of_block(block, matrix, shifted))
         return sympy.Add(*parts) - rest
 

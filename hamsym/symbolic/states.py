@@ -9,7 +9,7 @@ import numpy as np
 
 from hamsym.errors import ParameterError, VariableError
 from hamsym.formula.parser import canonical_name
-from hamsym.support.suggestions import did_you_mean
+from hamsym.support.suggestions import unknown
 from hamsym.support.validation import checked_mapping
 from hamsym.symbolic.checks import name_of
 
@@ -21,7 +21,7 @@ def state_array(
     states = states_array(z0, names)
     if states.ndim != 1:
         raise VariableError(
-            f"z0 has shape {states.shape}; give the {len(names)} numbers {_order(names)}"
+            f"z0 has shape {states.shape}; give the {len(names)} numbers {', '.join(names)}"
         )
     return states
 
@@ -34,7 +34,7 @@ def states_array(z0: Any, names: Sequence[str], *, finite: bool = True) -> np.nd
     Raise VariableError if a component is missing, unknown, not a number, or, with ``finite``, not
     finite.
     """
-    order = _order(names)
+    order = ", ".join(names)
     try:
         if isinstance(z0, Mapping):
             z0 = np.stack(_alike(_in_order(z0, names), order), axis=-1)
@@ -51,10 +51,6 @@ def states_array(z0: Any, names: Sequence[str], *, finite: bool = True) -> np.nd
     return states
 
 
-def _order(names: Sequence[str]) -> str:
-    return ", ".join(names)
-
-
 def _alike(values: list[np.ndarray], order: str) -> tuple[np.ndarray, ...]:
     try:
         return np.broadcast_arrays(*values)
@@ -68,13 +64,12 @@ def _alike(values: list[np.ndarray], order: str) -> tuple[np.ndarray, ...]:
 def _in_order(z0: Mapping[Any, Any], names: Sequence[str]) -> list[np.ndarray]:
     given = {canonical_name(name_of(key)): value for key, value in z0.items()}
     wanted = [canonical_name(name) for name in names]
-    unknown = [name for name in given if name not in wanted]
+    others = [name for name in given if name not in wanted]
     missing = [name for name, key in zip(names, wanted, strict=True) if key not in given]
-    if unknown:
-        hint = did_you_mean(unknown[0], names)
-        raise VariableError(f"'{unknown[0]}' is not a component of z{hint}; z0 has {_order(names)}")
+    if others:
+        raise VariableError(unknown(others[0], names, "a component of z", "z0 has"))
     if missing:
-        raise VariableError(f"'{missing[0]}' is missing in z0; give all of {_order(names)}")
+        raise VariableError(f"'{missing[0]}' is missing in z0; give all of {', '.join(names)}")
     return [np.array(given[key], dtype=float) for key in wanted]
 
 
@@ -89,9 +84,7 @@ def parameter_arrays(parameters: Mapping[Any, Any], names: Sequence[str]) -> dic
     for key, value in checked_mapping("parameters", parameters, '{"k": [1.0, 2.0]}').items():
         name = known.get(canonical_name(name_of(key)))
         if name is None:
-            listed = ", ".join(names) or "none"
-            hint = did_you_mean(name_of(key), names)
-            raise ParameterError(f"'{name_of(key)}' is not a parameter of H{hint}; it has {listed}")
+            raise ParameterError(unknown(name_of(key), names, "a parameter of H", "it has"))
         try:
             values = np.array(value, dtype=float)
         except (TypeError, ValueError, OverflowError, RuntimeError):

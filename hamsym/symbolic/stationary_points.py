@@ -11,6 +11,7 @@ only, so that each block is solved by itself.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 
 import sympy
@@ -18,7 +19,6 @@ import sympy
 from hamsym.formula.effort_limit import CallLimitExceededError, call_limit
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.equations import Equations
-from hamsym.symbolic.exact import rational
 
 _CALLS, _SECONDS = 1_000_000, 3.0  # of all blocks
 _LONGEST = 80  # operations of a solution that is still readable
@@ -42,11 +42,8 @@ def blocks(form: Equations) -> list[list[int]]:
 
 def exact_gradient(form: Equations) -> list[sympy.Expr]:
     """The gradient without floating-point numbers, with the values of the parameters."""
-    values = {symbol: value for symbol, value in form.parameters.values() if value is not None}
-    inserted = {s: rational(v) for s, v in values.items()}
-    return [
-        form.exact.with_fractions(entry, values).xreplace(inserted) for entry in form.exact.gradient
-    ]
+    exact = (form.exact.with_fractions(entry, form.values) for entry in form.exact.gradient)
+    return [entry.xreplace(form.fractions) for entry in exact]
 
 
 def stationary_points(form: Equations) -> list[Solution] | None:
@@ -71,10 +68,7 @@ def stationary_points(form: Equations) -> list[Solution] | None:
                 if not found:
                     return found
                 parts.append(found)
-            count = 1
-            for part in parts:
-                count *= len(part)
-            if count > _MOST:
+            if math.prod(map(len, parts)) > _MOST:
                 return None
             return [
                 {symbol: value for piece in pieces for symbol, value in piece.items()}

@@ -90,9 +90,7 @@ def switch_times(equations: Equations, span: tuple[float, float]) -> list[float]
     """
     if equations.time is None:
         return []
-    values = {
-        symbol: sympy.Float(v) for symbol, v in equations.parameters.values() if v is not None
-    }
+    values = {symbol: sympy.Float(value) for symbol, value in equations.values.items()}
     low, high = min(span), max(span)
     found: set[float] = set()
     for argument in switch_arguments(

@@ -431,7 +431,7 @@ class SymbolicHamiltonian(Shown):
             real.expr,
             real.z,
             self._time_symbol,
-            {symbol: v for symbol, v in real.parameters.values() if v is not None},
+            real.values,
             degree,
             [*suggested_basis(real.expr, real.z), *functions],
             time_limit,

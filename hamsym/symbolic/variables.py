@@ -59,9 +59,7 @@ def assign_variables(
 ) -> Variables:
     """Check the arguments of a Hamiltonian and assign a role to each symbol.
 
-    Raise ParseError, InputError if the expression or a force is not a formula. Raise VariableError
-    if the pairs are ambiguous, missing, or do not fit the expression, or a force belongs to no
-    momentum. Raise ParameterError if a value is not a finite real number or belongs to no symbol.
+    Raise the errors of :class:`hamsym.Hamiltonian`.
     """
     text = isinstance(expression, str)
     expr, written = parse_written(expression) if text else (checked_expression(expression), {})

@@ -8,11 +8,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.support.validation import require_number
+from hamsym.support.validation import require, require_number
 from hamsym.systems.catalogue import Problem, check_start, listed
-from hamsym.systems.planar import planar_integrals, planar_names
+from hamsym.systems.planar import planar_hamiltonian, planar_integrals
 
 
 @listed
@@ -26,8 +25,7 @@ def kepler(eccentricity: float = 0.6) -> Problem:
     InputError
         If the eccentricity is not from 0 to below 1.
     """
-    if not 0 <= eccentricity < 1:
-        raise InputError(f"eccentricity={eccentricity!r} cannot be used; give 0 <= e < 1")
+    require(0 <= eccentricity < 1, "eccentricity", eccentricity, "0 <= e < 1")
     e, minor = eccentricity, math.sqrt(1 - eccentricity**2)
 
     def exact(t: np.ndarray) -> np.ndarray:
@@ -67,8 +65,7 @@ def _planar_bodies(masses: Sequence[float]) -> Hamiltonian:
         f"{weights[i - 1]}{weights[j - 1]}1/sqrt((x{i} - x{j})**2 + (y{i} - y{j})**2)"
         for i, j in itertools.combinations(n, 2)
     )
-    names = planar_names(len(masses))
-    return Hamiltonian(f"{kinetic} - {potential}", q=names, p=["p" + name for name in names])
+    return planar_hamiltonian(len(masses), f"{kinetic} - {potential}")
 
 
 @listed
@@ -145,8 +142,7 @@ def restricted_three_bodies(mu: float = 0.01) -> Problem:
         If mu is not above 0 and at most 1/2.
     """
     require_number("mu", mu)
-    if not 0 < mu <= 0.5:
-        raise InputError(f"mu={mu!r} cannot be used; give a mass above 0 and up to 1/2")
+    require(0 < mu <= 0.5, "mu", mu, "a mass above 0 and up to 1/2")
     x, y = 0.51 - mu, math.sqrt(3) / 2
     return Problem(
         "restricted three-body problem",

@@ -12,9 +12,8 @@ import scipy
 import sympy
 from sympy.polys.matrices import DomainMatrix
 
-from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.support.validation import require_whole
+from hamsym.support.validation import require, require_whole
 from hamsym.systems.catalogue import Problem, check_positive, kinetic, listed, numbered
 
 # Largest number of particles for formulas of 2**n terms, or for n formulas of n terms.
@@ -233,8 +232,7 @@ def calogero_moser(n: int = 3, g: float = 1.0, omega: float = 1.0) -> Problem:
     """
     require_whole("n", n, 2)
     check_positive(g=g)
-    if not 0 <= omega < math.inf:
-        raise InputError(f"omega={omega!r} cannot be used; give a frequency from 0")
+    require(0 <= omega < math.inf, "omega", omega, "a frequency from 0")
     q, p = 1.5 * (np.arange(n) - (n - 1) / 2), np.eye(n)[0]
     Q, L = np.diag(q), np.diag(p) + 1j * g * (1 - np.eye(n)) / (q[:, None] - q + np.eye(n))
 

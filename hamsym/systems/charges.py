@@ -10,7 +10,7 @@ import scipy
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.support.validation import require_number
+from hamsym.support.validation import require, require_number
 from hamsym.systems.catalogue import Problem, check_positive, listed
 
 
@@ -26,8 +26,7 @@ def charged_particle(field: float = 1.0) -> Problem:
     InputError
         If the field B is zero, or not finite.
     """
-    if not 0 < abs(field) < math.inf:
-        raise InputError(f"field={field!r} cannot be used; give a number other than 0")
+    require(0 < abs(field) < math.inf, "field", field, "a number other than 0")
     H = Hamiltonian("((p_x + B*y/2)**2 + (p_y - B*x/2)**2)/2", parameters={"B": field})
     x0, y0, px0, py0 = z0 = (1.0, 0.0, 0.0, 1.0)
     vx0, vy0 = px0 + field * y0 / 2, py0 - field * x0 / 2
@@ -67,8 +66,8 @@ def penning_trap(field: float = 5.0, omega: float = 2.0) -> Problem:
     """
     check_positive(omega=omega)
     require_number("field", field)
-    if not field**2 > 2 * omega**2 or field < 0:
-        raise InputError(f"field={field!r} cannot be used; give a number above sqrt(2)*omega")
+    trapped = field > 0 and field**2 > 2 * omega**2
+    require(trapped, "field", field, "a number above sqrt(2)*omega")
     z0 = (1.0, 0.0, 0.5, 0.0, 1.0, 0.0)
     x0, y0, height, px0, py0, pz0 = z0
     start = x0 + 1j * y0

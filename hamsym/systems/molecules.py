@@ -8,7 +8,7 @@ import math
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.support.validation import require_whole
 from hamsym.systems.catalogue import Problem, listed
-from hamsym.systems.planar import planar_integrals, planar_names
+from hamsym.systems.planar import planar_hamiltonian, planar_integrals
 
 
 def _cluster(n: int, **parameters: float) -> Hamiltonian:
@@ -19,13 +19,7 @@ def _cluster(n: int, **parameters: float) -> Hamiltonian:
     for i, j in itertools.combinations(every, 2):
         square = f"((x{i} - x{j})**2 + (y{i} - y{j})**2)"
         pairs.append(f"4*epsilon*(sigma**12/{square}**6 - sigma**6/{square}**3)")
-    names = planar_names(n)
-    return Hamiltonian(
-        f"{kinetic} + {' + '.join(pairs)}",
-        q=names,
-        p=["p" + name for name in names],
-        parameters=parameters,
-    )
+    return planar_hamiltonian(n, f"{kinetic} + {' + '.join(pairs)}", **parameters)
 
 
 @listed

@@ -9,7 +9,7 @@ import scipy
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.support.validation import require_number
+from hamsym.support.validation import require, require_number
 from hamsym.systems.catalogue import Problem, check_positive, check_start, listed
 
 
@@ -146,8 +146,7 @@ def driven_oscillator(omega: float = 1.0, drive: float = 0.8, force: float = 0.5
         If omega is not positive, or the frequency Omega of the drive is negative.
     """
     check_positive(omega=omega)
-    if not 0 <= drive < math.inf:
-        raise InputError(f"drive={drive!r} cannot be used; give a frequency from 0")
+    require(0 <= drive < math.inf, "drive", drive, "a frequency from 0")
     mean, beat = (omega + drive) / 2, (omega - drive) / 2
 
     def exact(t: np.ndarray) -> np.ndarray:

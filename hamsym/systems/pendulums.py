@@ -7,9 +7,8 @@ import math
 import numpy as np
 import scipy
 
-from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.support.validation import require_number
+from hamsym.support.validation import require, require_number
 from hamsym.systems.catalogue import Problem, check_positive, listed
 
 
@@ -24,8 +23,7 @@ def pendulum(amplitude: float = 2.0) -> Problem:
     InputError
         If the angle is not between 0 and pi.
     """
-    if not 0 < amplitude < math.pi:
-        raise InputError(f"amplitude={amplitude!r} cannot be used; give an angle between 0 and pi")
+    require(0 < amplitude < math.pi, "amplitude", amplitude, "an angle between 0 and pi")
     k = math.sin(amplitude / 2)
 
     def exact(t: np.ndarray) -> np.ndarray:
@@ -90,8 +88,7 @@ def swinging_atwood(ratio: float = 3.0) -> Problem:
         If the ratio mu is not above 1: the swinging mass would pull the other one up for ever.
     """
     require_number("ratio", ratio)
-    if not ratio > 1:
-        raise InputError(f"ratio={ratio!r} cannot be used; give a number above 1")
+    require(ratio > 1, "ratio", ratio, "a number above 1")
     H = Hamiltonian(
         "p_r**2/(2*(1 + mu)) + p_theta**2/(2*r**2) + r*(mu - cos(theta))", parameters={"mu": ratio}
     )

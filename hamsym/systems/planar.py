@@ -1,17 +1,20 @@
-"""Point masses in a plane: names of their components, and integrals of forces between pairs."""
+"""Point masses in a plane: their Hamiltonians, and integrals of forces between pairs."""
 
 from __future__ import annotations
 
+from hamsym.hamiltonian import Hamiltonian
 
-def planar_names(n: int) -> list[str]:
-    """Return the names of the coordinates of n bodies, x1, x2, ..., y1, y2, ...
+
+def planar_hamiltonian(n: int, formula: str, **parameters: float) -> Hamiltonian:
+    """Return the Hamiltonian of n bodies, with coordinates x1, x2, ..., y1, y2, ...
 
     Examples
     --------
-    >>> planar_names(2)
-    ['x1', 'x2', 'y1', 'y2']
+    >>> planar_hamiltonian(1, "(px1**2 + py1**2)/2").names
+    ('x1', 'y1', 'px1', 'py1')
     """
-    return [f"{axis}{i}" for axis in ("x", "y") for i in range(1, n + 1)]
+    names = [f"{axis}{i}" for axis in ("x", "y") for i in range(1, n + 1)]
+    return Hamiltonian(formula, q=names, p=["p" + name for name in names], parameters=parameters)
 
 
 def planar_integrals(n: int) -> tuple[str, ...]:

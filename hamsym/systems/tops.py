@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import scipy
 
-from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.support.validation import require_number
+from hamsym.support.validation import require, require_number
 from hamsym.systems.catalogue import Problem, check_positive, listed
 
 
@@ -52,8 +51,7 @@ def lagrange_top(
     """
     check_positive(axial=axial, weight=weight, spin=spin)
     require_number("tilt", tilt)
-    if not 0 < tilt < math.pi:
-        raise InputError(f"tilt={tilt!r} cannot be used; give an angle between 0 and pi")
+    require(0 < tilt < math.pi, "tilt", tilt, "an angle between 0 and pi")
     top = math.cos(tilt)
     momentum = spin * top
     # The other two roots solve 2 k (1 - u^2) = p_psi^2 (u_0 - u).

@@ -74,9 +74,7 @@ class Bodies:
 
 
 def without_collisions(
-    bodies: Bodies,
-    free: Callable[[str], str],
-    clock: sympy.Symbol,
+    bodies: Bodies, free: Callable[[str], str], clock: sympy.Symbol
 ) -> tuple[sympy.Expr, list[Collision], dict[str, sympy.Expr], dict[str, sympy.Expr]]:
     """Return Gamma, the collisions, the old variables in the new, and other new ones in the old.
 
@@ -102,9 +100,7 @@ def without_collisions(
         apart = (bodies.momenta[j] - bodies.momenta[i]) / count
         apart -= (shares[j] - shares[i]) * _sum(bodies.momenta) / count
         place = bodies.places[j] - bodies.places[i]
-        collisions.append(
-            Collision(tuple(names), tuple(f"p_{name}" for name in names), (*place,), (*apart,))
-        )
+        collisions.append(Collision(tuple(names), (*place,), (*apart,)))
 
     def others(*left_out: tuple[int, int]) -> sympy.Expr:
         return sympy.Mul(*(r for pair, r in sizes.items() if pair not in left_out))

@@ -29,7 +29,6 @@ from hamsym.formula.effort_limit import CallLimitExceededError, call_limit
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.brackets import poisson_bracket
-from hamsym.symbolic.exact import rational
 from hamsym.symbolic.rational_matrices import inverse_matrix
 from hamsym.symbolic.variables import TIME
 
@@ -92,16 +91,10 @@ def point_map(old: Symbols, new: Symbols, coordinates: Sequence[sympy.Expr]) -> 
             )
         # p_i = sum_j P_j (dQ_j/dq_i)
         found = [
-            sympy.Add(
-                *(
-                    P * shorter(row[i] / determinant)
-                    for P, row in zip(momenta, entries, strict=True)
-                )
-            )
-            for i in range(half)
+            _sum_of_products(momenta, [shorter(entry / determinant) for entry in column])
+            for column in zip(*entries, strict=True)
         ]
-        rate = [sympy.diff(f, _TIME) for f in coordinates]
-        rest = -sympy.Add(*(p * v for p, v in zip(found, rate, strict=True)))
+        rest = -_sum_of_products(found, [sympy.diff(f, _TIME) for f in coordinates])
     return _canonical(CanonicalMap(tuple(old), tuple(new), (*coordinates, *found), shorter(rest)))
 
 
@@ -162,10 +155,7 @@ def _is_complex(solution: Mapping[sympy.Symbol, sympy.Expr]) -> bool:
 def _canonical(found: CanonicalMap) -> CanonicalMap:
     """The map, which must be canonical: that is decided by its Poisson brackets in symbols.
 
-    Raises
-    ------
-    InputError
-        Naming a pair with another bracket, or one that is not decided.
+    Raise InputError that names a pair with another bracket, or one that is not decided.
     """
     half = len(found.old) // 2
     pairs = itertools.combinations(range(len(found.old)), 2)
@@ -190,10 +180,11 @@ def _slopes_of_rest(formulas: Sequence[sympy.Expr], new: Symbols) -> list[sympy.
     half = len(formulas) // 2
     rates = [sympy.diff(f, _TIME) for f in formulas]
     turned = [*rates[half:], *(-rate for rate in rates[:half])]
-    return [
-        shorter(sympy.Add(*(sympy.diff(f, v) * r for f, r in zip(formulas, turned, strict=True))))
-        for v in new
-    ]
+    return [shorter(_sum_of_products([sympy.diff(f, v) for f in formulas], turned)) for v in new]
+
+
+def _sum_of_products(some: Sequence[sympy.Expr], others: Sequence[sympy.Expr]) -> sympy.Expr:
+    return sympy.Add(*(a * b for a, b in zip(some, others, strict=True)))
 
 
 def _integrated(slopes: Sequence[sympy.Expr], new: Symbols) -> sympy.Expr:
@@ -263,8 +254,7 @@ class OldVariables:
     def __init__(
         self, original: Hamiltonian, H: Hamiltonian, formulas: Mapping[str, sympy.Expr]
     ) -> None:
-        known = original.real_equations.parameters.values()
-        values = {symbol: rational(value) for symbol, value in known if value is not None}
+        values = original.real_equations.fractions
         self.expressions = [
             formulas.get(name, sympy.Symbol(name, real=True)).xreplace(values)
             for name in original.names

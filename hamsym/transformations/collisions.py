@@ -23,9 +23,12 @@ class Collision:
     """
 
     u: tuple[str, ...]
-    P: tuple[str, ...]
     place: tuple[sympy.Expr, ...]
     momentum: tuple[sympy.Expr, ...]
+
+    @property
+    def P(self) -> tuple[str, ...]:
+        return tuple(f"p_{name}" for name in self.u)
 
 
 def turning(u: Sequence[Any]) -> list[list[Any]]:

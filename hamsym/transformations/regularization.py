@@ -170,12 +170,12 @@ def regularize(
     form = H.real_equations
     clock = _free("time", H)
     T, P_T = sympy.Symbol(clock, real=True), sympy.Symbol(f"p_{clock}", real=True)
+    pairs = list(zip(form.z[: H.dof], form.z[H.dof :], strict=True))
     later = {} if form.time is None else {sympy.Symbol(TIME, real=True): T}
     if sundman is not None:
         if coordinates is not None or about is not None:
             raise InputError("coordinates= and about= belong to a kind, not to sundman=")
         rate = H.observable(sundman).function.xreplace(later)
-        pairs = [(s, form.z[H.dof + k]) for k, s in enumerate(form.z[: H.dof])]
         return _extended(H, rate * (form.expr.xreplace(later) + P_T), pairs, (T, P_T), {})
     require_known(kind, [*KINDS, "heggie"], "a regularization")
     if kind == "heggie":
@@ -201,12 +201,10 @@ def regularize(
     with limited("the regularized Hamiltonian"):
         inserted = (expr.xreplace(replaced) + added.xreplace(replaced)).xreplace(later)
         gamma = _times(r, inserted + P_T, [*P, P_T])
-    pairs = list(zip(u, P, strict=True))
-    pairs += [(s, form.z[H.dof + k]) for k, s in enumerate(form.z[: H.dof]) if s.name not in moved]
+    pairs = [*zip(u, P, strict=True), *(pair for pair in pairs if pair[0].name not in moved)]
     symbols = dict(zip(H.names, form.z, strict=True))
     collision = Collision(
         tuple(symbol.name for symbol in u),
-        tuple(symbol.name for symbol in P),
         tuple(symbols[name] - place for name, place in places.items()),
         tuple(symbols[name] for name in momenta),
     )

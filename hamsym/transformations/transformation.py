@@ -6,7 +6,7 @@ Output: a :class:`Transformation` with the new Hamiltonian and the way there and
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -21,7 +21,7 @@ from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.support.shown import Shown
 from hamsym.support.suggestions import checked_keywords, did_you_mean, suggest_attributes
 from hamsym.support.validation import checked_numbers, shown
-from hamsym.symbolic.checks import as_list, checked_expression, name_of
+from hamsym.symbolic.checks import as_list, checked_expression, name_of, real_symbols
 from hamsym.symbolic.pairing import find_pairs, natural_order
 from hamsym.symbolic.variables import TIME
 from hamsym.transformations.canonical_maps import (
@@ -264,7 +264,7 @@ def transform(
         )
     reader = _Reader(H, positive)
     found = reader.generated(*functions.popitem(), new) if functions else reader.read(formulas, new)
-    return _with_hamiltonian(H, found, reader.plain)
+    return _with_hamiltonian(H, found)
 
 
 class _Reader:
@@ -290,9 +290,7 @@ class _Reader:
                 hint = did_you_mean(name_of(key), H.names)
                 raise VariableError(f"H has no variable '{name_of(key)}'{hint}")
             known[name] = self._expression(value)
-        dof = H.dof
-        pairs = list(zip(H.names[:dof], H.names[dof:], strict=True))
-        moved = [pair for pair in pairs if pair[0] in known or pair[1] in known]
+        moved = self._moved(known.keys())
         whole = all(q in known and p in known for q, p in moved)
         if not whole and any(p in known for _, p in moved):
             raise InputError(
@@ -302,21 +300,15 @@ class _Reader:
         old = [q for q, _ in moved] + [p for _, p in moved]
         coordinates, momenta = self._new_names(known.values(), new, len(moved), old, whole)
         symbols = self._symbols([*coordinates, *momenta])
-        values = [
-            known[name].xreplace(self._by_name(known[name], symbols)) for name in old[: len(known)]
-        ]
+        values = [self._in(symbols, known[name]) for name in old[: len(known)]]
         reals = [sympy.Symbol(name, real=True) for name in old]
-        if whole:
-            return full_map(reals, symbols, values)
-        return point_map(reals, symbols, values)
+        return (full_map if whole else point_map)(reals, symbols, values)
 
     def generated(self, kind: str, function: Any, new: Any) -> CanonicalMap:
         """The map of a generating function."""
-        H, expr = self._H, self._expression(function)
+        expr = self._expression(function)
         names = {symbol.name for symbol in expr.free_symbols}
-        dof = H.dof
-        pairs = list(zip(H.names[:dof], H.names[dof:], strict=True))
-        moved = [pair for pair in pairs if names & {*pair}]
+        moved = self._moved(names)
         old = [q for q, _ in moved] + [p for _, p in moved]
         if not moved:
             raise InputError(f"{kind} contains no variable of H")
@@ -329,23 +321,25 @@ class _Reader:
         of_old, of_new = GENERATING[kind]
         half = len(moved)
         allowed = {*(old[:half] if of_old == "q" else old[half:])}
-        allowed |= {*(coordinates if of_new == "Q" else momenta), *H.parameter_names, TIME}
+        allowed |= {*(coordinates if of_new == "Q" else momenta), *self._H.parameter_names, TIME}
         for name in sorted(names - allowed):
             raise VariableError(
                 f"{kind} is a function of ({of_old}, {of_new}), which '{name}' is none of; give it "
                 f"in {', '.join(sorted(allowed - {TIME}))}"
             )
         reals = [sympy.Symbol(name, real=True) for name in old]
-        return generated_map(kind, expr.xreplace(self._by_name(expr, symbols)), reals, symbols)
+        return generated_map(kind, self._in(symbols, expr), reals, symbols)
 
-    def plain(self, expr: sympy.Expr) -> sympy.Expr:
-        """The expression in real symbols."""
-        return expr.xreplace({s: sympy.Symbol(s.name, real=True) for s in expr.free_symbols})
+    def _moved(self, names: Collection[str]) -> list[tuple[str, str]]:
+        """The pairs of H of which a component is among some names."""
+        names_of_H, dof = self._H.names, self._H.dof
+        pairs = zip(names_of_H[:dof], names_of_H[dof:], strict=True)
+        return [pair for pair in pairs if {*pair} & {*names}]
 
     def _expression(self, value: Any) -> sympy.Expr:
         if isinstance(value, str):
-            return self.plain(parse_expression(value))
-        return self.plain(checked_expression(value, "a formula"))
+            return _plain(parse_expression(value))
+        return _plain(checked_expression(value, "a formula"))
 
     def _symbols(self, names: Sequence[str]) -> list[sympy.Symbol]:
         unknown = self._positive - {canonical_name(name) for name in names}
@@ -361,9 +355,10 @@ class _Reader:
         ]
 
     @staticmethod
-    def _by_name(expr: sympy.Expr, symbols: Sequence[sympy.Symbol]) -> dict[Any, Any]:
+    def _in(symbols: Sequence[sympy.Symbol], expr: sympy.Expr) -> sympy.Expr:
+        """The expression with some symbols in place of those of the same names."""
         own = {symbol.name: symbol for symbol in symbols}
-        return {s: own[s.name] for s in expr.free_symbols if s.name in own}
+        return expr.xreplace({s: own[s.name] for s in expr.free_symbols if s.name in own})
 
     def _new_names(
         self, values: Any, new: Any, count: int, old: Sequence[str], whole: bool
@@ -408,13 +403,18 @@ class _Reader:
         return coordinates, momenta
 
 
-def _with_hamiltonian(H: Hamiltonian, found: CanonicalMap, plain: Any) -> Transformation:
+def _plain(expr: sympy.Expr) -> sympy.Expr:
+    """The expression in real symbols."""
+    return expr.xreplace(real_symbols(expr.free_symbols))
+
+
+def _with_hamiltonian(H: Hamiltonian, found: CanonicalMap) -> Transformation:
     """The transformation with its Hamiltonian, whose other pairs stay."""
     form, half = H.real_equations, len(found.old) // 2
     replaced = dict(zip((s.name for s in found.old), found.new, strict=True))
-    q = [replaced.get(name, sympy.Symbol(name, real=True)) for name in H.names[: H.dof]]
-    p = [replaced.get(name, sympy.Symbol(name, real=True)) for name in H.names[H.dof :]]
-    expr = plain(transformed(form.expr, found) + found.rest)
+    z = [replaced.get(name, sympy.Symbol(name, real=True)) for name in H.names]
+    q, p = z[: H.dof], z[H.dof :]
+    expr = _plain(transformed(form.expr, found) + found.rest)
     forces = {}
     if H.forces:
         old = {s.name: f for s, f in zip(found.old, found.formulas, strict=True)}
@@ -423,7 +423,7 @@ def _with_hamiltonian(H: Hamiltonian, found: CanonicalMap, plain: Any) -> Transf
         acting = {s.name: f for s, f in zip(form.z[H.dof :], form.forces, strict=True)}
         for name, momentum in zip(H.names[: H.dof], p, strict=True):
             if name not in old:
-                forces[momentum.name] = plain(transformed(acting[_pair(H, name)], found))
+                forces[momentum.name] = _plain(transformed(acting[_pair(H, name)], found))
         for Q, P in zip(found.new[:half], found.new[half:], strict=True):
             work = sympy.Add(
                 *(
@@ -431,18 +431,18 @@ def _with_hamiltonian(H: Hamiltonian, found: CanonicalMap, plain: Any) -> Transf
                     for symbol in found.old[:half]
                 )
             )
-            forces[P.name] = plain(transformed(work, found))
+            forces[P.name] = _plain(transformed(work, found))
     names = {s.name for s in expr.free_symbols}.union(
         *({s.name for s in force.free_symbols} for force in forces.values())
     )
     new = Hamiltonian(
         expr,
-        q=[plain(symbol) for symbol in q],
-        p=[plain(symbol) for symbol in p],
+        q=[_plain(symbol) for symbol in q],
+        p=[_plain(symbol) for symbol in p],
         parameters={name: value for name, value in H.parameters.items() if name in names},
         forces=forces,
     )
-    formulas = {s.name: plain(f) for s, f in zip(found.old, found.formulas, strict=True)}
+    formulas = {s.name: _plain(f) for s, f in zip(found.old, found.formulas, strict=True)}
     return Transformation(new, H, formulas, tuple(s.name for s in found.new if s.is_positive))
 
 

@@ -13,7 +13,7 @@ import scipy.linalg
 import hamsym
 from hamsym import ChaosIndicators, Hamiltonian, InputError
 from hamsym.dynamics import lyapunov_map
-from hamsym.dynamics.growth import first_vectors
+from hamsym.dynamics.tangent_steps import first_vectors
 from hamsym.integrators.stepper import Stepper
 from hamsym.systems import henon_heiles, pendulum
 

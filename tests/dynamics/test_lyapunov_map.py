@@ -8,7 +8,7 @@ import pytest
 import hamsym
 from hamsym import Hamiltonian, InputError
 from hamsym.dynamics import lyapunov_map
-from hamsym.dynamics.growth import orthonormal
+from hamsym.dynamics.tangent_steps import orthonormal
 from hamsym.integrators.stepper import Stepper
 from hamsym.support.machine import one_core
 from hamsym.systems import double_pendulum, driven_oscillator, henon_heiles, kepler

@@ -14,7 +14,7 @@ from hamsym import Hamiltonian, InputError
 from hamsym.dynamics import crossings
 from hamsym.errors import EventWarning, StepSizeWarning
 from hamsym.integrators import stepper
-from hamsym.numerics.roots import refine, sign_changes
+from hamsym.numerics.roots import changes, refine, sign_changes
 from hamsym.problems.surface import parse_surface
 from hamsym.systems import driven_oscillator, harmonic_oscillator, henon_heiles, kepler
 
@@ -68,8 +68,9 @@ def test_unusable_surfaces_are_rejected(text: object, message: str) -> None:
 def test_sign_changes_count_a_zero_once() -> None:
     values = np.array([0.0, 1.0, 0.0, -1.0, 0.0, 1.0, 2.0, -1.0])
     assert sign_changes(values)[0].tolist() == [1, 3, 6]
-    assert sign_changes(values, 1)[0].tolist() == [3]
-    assert sign_changes(values, -1)[0].tolist() == [1, 6]
+    for direction, expected in ((0, [1, 3, 6]), (1, [3]), (-1, [1, 6])):
+        found = changes(values[:-1], values[1:], direction)
+        assert np.flatnonzero(found).tolist() == expected
 
 
 def test_no_zero_across_nan() -> None:

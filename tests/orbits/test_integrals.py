@@ -15,7 +15,7 @@ from hamsym.orbits.integrals import (
     shared_integrals,
     slice_of,
 )
-from hamsym.orbits.quotients import shift_derivative
+from hamsym.orbits.quotients import ShiftDerivative
 from hamsym.orbits.symmetry import closing_of
 from tests.orbits.test_periodic_orbit import EIGHT, eight_symmetries, three_bodies
 
@@ -98,11 +98,13 @@ def test_quotient_of_a_product_has_the_multipliers_that_are_left(seed):
         maps.append(flint.arb_mat(matrix.tolist()))
     places = [(flint.arb_mat([[0, 0, 1, 0]]), flint.arb_mat([[1], [0], [0], [0]]))] * 4
     closing = closing_of(hamsym.Hamiltonian(SPRING), None)
-    found = shift_derivative(closing, maps, [flint.arb(1)] * 4, places)
+    found = ShiftDerivative(closing, maps, [flint.arb(1)] * 4).across(places)
     assert (found.nrows(), found.ncols()) == (2, 2)
     assert abs(float((found[0, 0] + found[1, 1]).mid()) - 2 * np.cos(0.3)) < 1e-12
     with pytest.raises(ZeroDivisionError):
-        shift_derivative(closing, maps, [flint.arb(1)] * 4, [(places[0][0] * 0, places[0][1])] * 4)
+        ShiftDerivative(closing, maps, [flint.arb(1)] * 4).across(
+            [(places[0][0] * 0, places[0][1])] * 4
+        )
 
 
 def test_wrong_energy_of_a_problem_is_refused():

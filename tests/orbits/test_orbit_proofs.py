@@ -472,6 +472,12 @@ def test_time_limit_ends_the_proof():
         orbit.certify(time_limit=1e-4)
 
 
+def with_multipliers(multipliers):
+    companion = np.diag(np.ones(len(multipliers) - 1), -1)
+    companion[0] = -np.poly(multipliers).real[1:]
+    return flint.arb_mat([[flint.arb(v, 1e-12) for v in row] for row in companion.tolist()])
+
+
 @pytest.mark.parametrize(
     ("multipliers", "expected"),
     [
@@ -490,11 +496,7 @@ def test_time_limit_ends_the_proof():
 )
 def test_stability_of_matrices_with_known_multipliers(multipliers, expected):
     # exponents of a block matrix: exp(+-e)
-    values = np.exp([*multipliers, *(-np.array(multipliers))])
-    coefficients = np.poly(values).real
-    companion = np.diag(np.ones(3), -1)
-    companion[0] = -coefficients[1:]
-    matrix = flint.arb_mat([[flint.arb(v, 1e-12) for v in row] for row in companion.tolist()])
+    matrix = with_multipliers(np.exp([*multipliers, *(-np.array(multipliers))]))
     assert proven_stability(matrix, matrix, forced=False) == expected
     assert expected in WEAKER
 
@@ -524,10 +526,7 @@ def test_shear_is_proven_parabolic(shear, radius, expected):
     ],
 )
 def test_attraction_of_matrices_with_known_multipliers(multipliers, expected):
-    coefficients = np.poly(multipliers).real
-    companion = np.diag(np.ones(2), -1)
-    companion[0] = -coefficients[1:]
-    matrix = flint.arb_mat([[flint.arb(v, 1e-12) for v in row] for row in companion.tolist()])
+    matrix = with_multipliers(multipliers)
     assert proven_stability(matrix, matrix, forced=True) == expected
     assert expected in WEAKER
 
