@@ -28,7 +28,6 @@ from hamsym.networks.optimizers import QuasiNewton
 from hamsym.networks.points import fresh_points
 from hamsym.networks.sensitivities import Layer, backward, forward
 from hamsym.networks.trial import TrialSolution
-from hamsym.support.validation import require_whole
 
 # Damping relative to the mean diagonal of J J^T; the least in units of the type's precision,
 # 1e-14 in float64.
@@ -44,16 +43,13 @@ class LevenbergMarquardt(QuasiNewton):
     Raise InputError if a trial solution has no known derivative in its weights, or the objective
     has regularizers, which have no least-squares form.
 
-    - points: Collocation points K on the whole span; short spans of sequential training have fewer.
+    The collocation points are those on the whole span; short spans of sequential training have
+    fewer.
     """
 
     _trial: TrialSolution | ModuleTrial
     check_every = 5
     _PATIENCE = 3  # iterations in a row without an acceptable step that count as a stall
-
-    def __init__(self, *, points: int = 200) -> None:
-        require_whole("points", points, 2)
-        self.points = points
 
     def bind(
         self, trial: torch.nn.Module, objective: Objective, generator: torch.Generator
@@ -76,8 +72,8 @@ class LevenbergMarquardt(QuasiNewton):
         count = max(min(_FEWEST_POINTS, self.points), round(share * self.points))
         t = fresh_points(span, count, self._dtype, self._generator).to(self._device)
         z, dz = self._trial(t)
-        rows = self._rows(t, z, dz)
-        rates = self._linearised(t, *self._slopes(t, z, dz))
+        rows = self._objective.rows(t, z, dz)
+        rates = self._linearised(t, *self._objective.slopes(t, z, dz))
         gram = rates.gram()
         # Rows in the order (component, point), as in the Gram matrix.
         residual = rows.T.reshape(-1)
@@ -121,26 +117,8 @@ class LevenbergMarquardt(QuasiNewton):
             return ModuleRates(self._trial, t, in_z, in_dz)
         return _Linearised(self._trial, self._trial.parts, t, in_z, in_dz)
 
-    def _rows(self, t: Tensor, z: Tensor, dz: Tensor) -> Tensor:
-        return (self._objective.rows or self._objective.residual)(t, z, dz)
-
-    def _slopes(self, t: Tensor, z: Tensor, dz: Tensor) -> tuple[Tensor, Tensor]:
-        if self._objective.slopes is not None:
-            return self._objective.slopes(t, z, dz)
-        with torch.enable_grad():
-            z, dz = z.requires_grad_(), dz.requires_grad_()
-            rows = self._rows(t, z, dz)
-            pairs = [
-                torch.autograd.grad(
-                    rows[:, i].sum(), (z, dz), retain_graph=True, materialize_grads=True
-                )
-                for i in range(rows.shape[1])
-            ]
-        in_z, in_dz = zip(*pairs, strict=True)
-        return torch.stack(in_z, 1), torch.stack(in_dz, 1)
-
     def _residual(self, t: Tensor) -> Tensor:
-        return self._rows(t, *self._trial(t)).T.reshape(-1)
+        return self._objective.rows(t, *self._trial(t)).T.reshape(-1)
 
     def _move(self, start: list[Tensor], step: list[Tensor], length: float) -> None:
         for weights, first, part in zip(self._weights, start, step, strict=True):

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
-import torch
-
-from hamsym.networks.record import Stopped, Training
-from hamsym.support.validation import require_positive, require_whole
+from hamsym.networks.methods import JointTraining
+from hamsym.networks.record import Stopped
 
 
 @dataclass
@@ -34,55 +31,23 @@ class Progress:
     cpu_seconds: float = 0.0
 
 
-@dataclass(frozen=True)
-class Criterion:
-    """A rule for stopping that evaluates the trial solution when the loss has quartered."""
+def target_reached(method: JointTraining, progress: Progress) -> Stopped | None:
+    """Return the target that the best weights reach, if any."""
+    if method.target_loss is not None and progress.best_loss <= method.target_loss:
+        return Stopped.TARGET_LOSS
+    if method.target_ell_max is not None and progress.best_ell_max <= method.target_ell_max:
+        return Stopped.TARGET_ELL_MAX
+    return None
 
-    name: str
-    #: (trial solution with the best weights, record of the training so far) -> bool.
-    is_met: Callable[[torch.nn.Module, Training], bool]
 
-
-@dataclass(frozen=True)
-class Stopping:
-    """Rules for stopping; the first that is met ends the training."""
-
-    #: Largest number of iterations.
-    iterations: int
-    #: Largest loss at the fixed points.
-    target_loss: float | None = None
-    #: Largest residual at the fixed points.
-    target_ell_max: float | None = None
-    #: Iterations without a lower loss at the fixed points.
-    patience: int | None = None
-    #: Seconds.
-    time_limit: float | None = None
-    criteria: tuple[Criterion, ...] = ()
-
-    def __post_init__(self) -> None:
-        require_whole("iterations", self.iterations, 1)
-        if self.patience is not None:
-            require_whole("patience", self.patience, 1)
-        for name in ("target_loss", "target_ell_max", "time_limit"):
-            if getattr(self, name) is not None:
-                require_positive(name, getattr(self, name))
-
-    def target_reached(self, progress: Progress) -> Stopped | None:
-        """Return the target that the best weights reach, if any."""
-        if self.target_loss is not None and progress.best_loss <= self.target_loss:
-            return Stopped.TARGET_LOSS
-        if self.target_ell_max is not None and progress.best_ell_max <= self.target_ell_max:
-            return Stopped.TARGET_ELL_MAX
-        return None
-
-    def limit_reached(self, progress: Progress, last_stage: bool) -> Stopped | None:
-        """Return the limit of time or patience that is reached, if any."""
-        if self.time_limit is not None and progress.seconds >= self.time_limit:
-            return Stopped.TIME_LIMIT
-        waited = min(progress.iteration - progress.improved, progress.in_stage)
-        if self.patience is not None and last_stage and waited >= self.patience:
-            return Stopped.PATIENCE
-        return None
+def limit_reached(method: JointTraining, progress: Progress, last_stage: bool) -> Stopped | None:
+    """Return the limit of time or patience that is reached, if any."""
+    if method.time_limit is not None and progress.seconds >= method.time_limit:
+        return Stopped.TIME_LIMIT
+    waited = min(progress.iteration - progress.improved, progress.in_stage)
+    if method.patience is not None and last_stage and waited >= method.patience:
+        return Stopped.PATIENCE
+    return None
 
 
 @dataclass(frozen=True)
@@ -99,12 +64,6 @@ class Stages:
     restart_after: int | None = None
     #: Largest number of such restarts.
     restarts: int = 10
-
-    def __post_init__(self) -> None:
-        require_whole("stages", self.count, 1)
-        require_whole("restarts", self.restarts, 0)
-        if self.restart_after is not None:
-            require_whole("restart_after", self.restart_after, 1)
 
 
 class StageSchedule:

@@ -1,9 +1,9 @@
 """Training of trial solutions of any first-order equation; it does not depend on Hamiltonians.
 
 Input:  a trial solution t -> (z, dz/dt), an :class:`Objective` made of a residual function, a
-        loss and regularizers, a time span, an optimizer (:mod:`hamsym.networks.optimizers`,
-        :mod:`hamsym.networks.self_scaled_broyden`, :mod:`hamsym.networks.levenberg_marquardt`)
-        and rules for stopping.
+        loss and regularizers, a time span, and an optimizer (:mod:`hamsym.networks.optimizers`,
+        :mod:`hamsym.networks.self_scaled_broyden`, :mod:`hamsym.networks.levenberg_marquardt`),
+        whose method has rules for stopping.
 Output: the weights with the lowest loss at fixed points (left in the trial solution), and a
         :class:`~hamsym.networks.record.Training`.
 """
@@ -12,17 +12,24 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 import torch
+from torch import Tensor
 
-from hamsym.networks.best_weights import BestWeights
 from hamsym.networks.network import Network
 from hamsym.networks.objective import Objective
 from hamsym.networks.optimizers import Optimizer
 from hamsym.networks.record import History, Stopped, Training, TrainingState
-from hamsym.networks.rules import Progress, Stages, StageSchedule, Stopping
+from hamsym.networks.rules import (
+    Progress,
+    Stages,
+    StageSchedule,
+    limit_reached,
+    target_reached,
+)
 
 # Products of points and weights below this are no faster on two threads, which cost twice the CPU
 # time.
@@ -36,10 +43,10 @@ def train(
     objective: Objective,
     span: tuple[float, float],
     optimizer: Optimizer,
-    stopping: Stopping,
     *,
     generator: torch.Generator,
-    stages: Stages | None = None,
+    stages: Stages,
+    criteria: Mapping[str, Callable[[Training], bool]] | None = None,
     callbacks: Sequence[Callable[[TrainingState], None]] = (),
 ) -> Training:
     """Minimise an objective over a time span.
@@ -50,12 +57,45 @@ def train(
     - span: Start and end time; the end may be the smaller.
     - optimizer: An optimizer that was not used before.
     - generator: Source of all random numbers.
-    - stages: By default the whole span from the beginning.
+    - criteria: Further rules for stopping by their names: each judges the trial solution, with the
+      best weights, and the record of the training so far, when the loss has quartered.
     - callbacks: Each is called with a :class:`TrainingState` after evaluations at the fixed points.
     """
     optimizer.bind(trial, objective, generator)
-    run = _Run(trial, objective, span, optimizer, stopping, stages or Stages(), generator)
+    run = _Run(trial, objective, span, optimizer, criteria or {}, stages, generator)
     return run.through(callbacks)
+
+
+class BestWeights:
+    """The weights with the lowest loss so far, and the trial solution's current ones."""
+
+    def __init__(self, trial: torch.nn.Module) -> None:
+        self.parameters = list(trial.parameters())
+        self.keep()
+
+    def keep(self) -> None:
+        """Make the current weights the best ones."""
+        self.best = self.current()
+
+    def current(self) -> list[Tensor]:
+        """Return a copy of the current weights."""
+        return [parameter.detach().clone() for parameter in self.parameters]
+
+    @torch.no_grad()
+    def put(self, weights: list[Tensor]) -> None:
+        """Put weights into the trial solution."""
+        for parameter, value in zip(self.parameters, weights, strict=True):
+            parameter.copy_(value)
+
+    @contextmanager
+    def in_trial(self) -> Iterator[None]:
+        """Put the best weights into the trial solution for a while."""
+        current = self.current()
+        self.put(self.best)
+        try:
+            yield
+        finally:
+            self.put(current)
 
 
 class _Run:
@@ -67,16 +107,16 @@ class _Run:
         objective: Objective,
         span: tuple[float, float],
         optimizer: Optimizer,
-        stopping: Stopping,
+        criteria: Mapping[str, Callable[[Training], bool]],
         stages: Stages,
         generator: torch.Generator,
     ) -> None:
         self.trial, self.objective, self.generator = trial, objective, generator
-        self.optimizer, self.stopping = optimizer, stopping
+        self.optimizer, self.method, self.criteria = optimizer, optimizer.method, criteria
         self.fixed = optimizer.fixed_points(span)
         self.weights = BestWeights(trial)
         self.progress = Progress()
-        self.schedule = StageSchedule(stages, span, stopping.iterations, self.progress)
+        self.schedule = StageSchedule(stages, span, self.method.total, self.progress)
         self.losses: list[float] = []
         self.checks: list[tuple[int, float, float, float]] = []
 
@@ -90,7 +130,7 @@ class _Run:
             if size < _ONE_THREAD:
                 torch.set_num_threads(1)
             while stopped is None:
-                if self.progress.iteration >= self.stopping.iterations:
+                if self.progress.iteration >= self.method.total:
                     stopped = Stopped.ITERATIONS
                     break
                 stopped = self._iterate(callbacks)
@@ -119,7 +159,7 @@ class _Run:
 
     def _iterate(self, callbacks: Sequence[Callable[[TrainingState], None]]) -> str | None:
         """Perform one iteration; return the reason for which the training ends, if any."""
-        progress, schedule, total = self.progress, self.schedule, self.stopping.iterations
+        progress, schedule, total = self.progress, self.schedule, self.method.total
         last_stage = schedule.is_last
         loss, motion = self.optimizer.iterate(
             schedule.span, schedule.share, progress.iteration / total
@@ -166,7 +206,7 @@ class _Run:
         self.checks.append((progress.iteration, loss, ell_max, progress.seconds))
         state = TrainingState(
             iteration=progress.iteration,
-            iterations=self.stopping.iterations,
+            iterations=self.method.total,
             loss=loss,
             best_loss=progress.best_loss,
             ell_max=ell_max,
@@ -177,17 +217,17 @@ class _Run:
 
     def _rule_met(self) -> str | None:
         """Return the first rule that the best weights meet, if any."""
-        rules, progress = self.stopping, self.progress
-        if (target := rules.target_reached(progress)) is not None:
+        progress = self.progress
+        if (target := target_reached(self.method, progress)) is not None:
             return target
-        if rules.criteria and progress.best_loss <= progress.judged / 4:
+        if self.criteria and progress.best_loss <= progress.judged / 4:
             progress.judged = progress.best_loss
             record = self._record(Stopped.INTERRUPTED)
             with self.weights.in_trial():
-                met = [rule.name for rule in rules.criteria if rule.is_met(self.trial, record)]
+                met = [name for name, is_met in self.criteria.items() if is_met(record)]
             if met:
                 return met[0]
-        return rules.limit_reached(progress, self.schedule.is_last)
+        return limit_reached(self.method, progress, self.schedule.is_last)
 
     def _restart(self, reason: Stopped) -> Stopped | None:
         """Restart with new weights, or end for this reason if no restart is left."""
