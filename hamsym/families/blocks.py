@@ -22,8 +22,8 @@ from hamsym.problems.conservation import KnownInvariants
 from hamsym.problems.ensemble import Ensemble
 from hamsym.problems.problem import InitialValueProblem
 from hamsym.random_features.features import Features
-from hamsym.random_features.members import Batch
-from hamsym.random_features.method import basis_for, solve_by_march
+from hamsym.random_features.members import Batch, basis_for
+from hamsym.random_features.method import solve_by_march
 from hamsym.solution.invariant_check import judged_by_invariants
 from hamsym.solution.solution import Solution
 from hamsym.support.records import packed

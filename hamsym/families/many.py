@@ -29,8 +29,7 @@ from hamsym.parallel.threads import Threads
 from hamsym.problems.conservation import InvariantLike, KnownInvariants
 from hamsym.problems.ensemble import Ensemble, ensemble_of
 from hamsym.problems.problem import checked_span
-from hamsym.random_features.members import Batch
-from hamsym.random_features.method import basis_for, checked_accuracy
+from hamsym.random_features.members import Batch, basis_for, checked_accuracy
 from hamsym.solution.solution import Solution
 from hamsym.support.machine import memory_size
 from hamsym.support.progress import stepping_progress

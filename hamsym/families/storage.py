@@ -31,6 +31,7 @@ from hamsym.problems.description import described, require_formula
 from hamsym.problems.ensemble import Ensemble
 from hamsym.problems.problem import checked_span
 from hamsym.random_features.basis import DEGREE
+from hamsym.random_features.trial import FeatureTrial
 from hamsym.support.atomic import create_atomically
 from hamsym.support.locking import exclusive
 from hamsym.support.record_fields import Count, Limit, convert, counts, floats
@@ -345,7 +346,8 @@ def _require_windows(solutions: Solutions, packed: Packed) -> None:
     if packed.states[first].tobytes() != table.z0[solved].tobytes():
         raise ValueError("a member does not start at its z0")
     for member in np.flatnonzero(table.status == MARCHED).tolist():
-        march, error, trial = solutions.marched(member)
+        march, error = solutions.marched(member)
+        trial = FeatureTrial.of_march(march, family.series)
         success = bool(table.success[member])
         if march.origin != family.origin:
             raise ValueError("the times of a member have another origin")

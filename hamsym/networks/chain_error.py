@@ -79,9 +79,7 @@ def estimate_chain_error(
         gaps = np.diff(states, axis=0) - np.einsum("m,wmd->wd", end, readouts)
         readouts += (end / (end @ end))[:, None] * gaps[:, None]
         *_, residuals = at(error_tables(basis, resolution)["place"])
-        path = March(
-            edges, states, readouts, edges[-1], "", 0, 0, np.abs(z).max(axis=(0, 1)), 0.0, 0.0, 0
-        )
+        path = March(edges, states, readouts, edges[-1], np.abs(z).max(axis=(0, 1)))
         found = estimate_error(
             path,
             basis,

@@ -31,18 +31,18 @@ class March:
     readouts: Annotated[np.ndarray, floats("windows", "columns", "dim")] = field(repr=False)
     #: Time at which the last window ends.
     reached: float
-    #: Reason for ending before the end of the span, "" at its end.
-    reason: str
-    #: Calls of the vector field, each at all points of a window.
-    evaluations: Count
-    #: Windows for which Newton's method was needed.
-    newton_windows: Count
     #: Largest magnitude of each component.
     scale: Annotated[np.ndarray, floats("dim", least=0)] = field(repr=False)
-    seconds: Size
-    cpu_seconds: Size
+    #: Calls of the vector field, each at all points of a window.
+    evaluations: Count = 0
+    seconds: Size = 0.0
+    cpu_seconds: Size = 0.0
     #: Of the basis.
-    seed: Count
+    seed: Count = 0
+    #: Windows for which Newton's method was needed.
+    newton_windows: Count = 0
+    #: Reason for ending before the end of the span, "" at its end.
+    reason: str = ""
     #: Time from which the edges are counted: the start of the span, where H does not depend on time
     #: and differences to it are exact in float64, otherwise 0.
     origin: float = 0.0

@@ -17,8 +17,7 @@ from hamsym.kernel.loops import Equations, Program
 from hamsym.random_features import members
 from hamsym.random_features.basis import FeatureBasis
 from hamsym.random_features.flow import flow_of
-from hamsym.random_features.members import Batch, MemberSolver
-from hamsym.random_features.method import basis_for, checked_accuracy
+from hamsym.random_features.members import Batch, MemberSolver, basis_for, checked_accuracy
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.systems import CATALOGUE
 
@@ -77,10 +76,9 @@ def _solved(
     parameters: Any = None,
 ) -> Batch:
     accuracy = checked_accuracy(tol, 0.0, None, span, H.dim)
-    given = accuracy.local, accuracy.absolute, accuracy.longest, basis_for(0, tol)
     values = [[H.parameters[name] for name in H.parameter_names]] * len(states)
     values = np.array(values if parameters is None else parameters, dtype=float)
-    solver = MemberSolver(H, span, tol, *given)
+    solver = MemberSolver(H, span, accuracy, basis_for(0, tol))
     return solver.solve(np.asarray(states, dtype=float), values)
 
 
