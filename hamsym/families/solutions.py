@@ -35,7 +35,7 @@ from hamsym.solution.times import times_in_span
 from hamsym.support.records import unpacked
 from hamsym.support.shown import Drawn, Saved
 from hamsym.support.suggestions import suggest_attributes
-from hamsym.support.tables import data_frame, data_set, member_axes, time_name
+from hamsym.support.tables import data_set, ensemble_frame, member_axes, time_name
 
 if TYPE_CHECKING:  # optional packages
     import pandas
@@ -466,12 +466,6 @@ class Solutions(Drawn, Saved):
         [1.0, 2.0]
         """
         times = np.atleast_1d(times_in_span(t, self.span))
-        places = np.indices((*self.shape, len(times))).reshape(self.ndim + 1, -1)
-        index = dict(zip(member_axes(self.shape), places[:-1], strict=True))
-        index[time_name(self.H.names)] = times[places[-1]]
         found = observed(self.H, names, self(times), times, self.own_parameters)
-        columns = {name: values.ravel() for name, values in found.items()}
-        columns |= {
-            name: np.repeat(own.ravel(), len(times)) for name, own in self.parameters.items()
-        }
-        return data_frame(columns, index, self._attributes)
+        index = {time_name(self.H.names): times}
+        return ensemble_frame(self.shape, index, found, self.parameters, self._attributes)

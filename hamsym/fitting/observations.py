@@ -13,7 +13,7 @@ from hamsym.codegen.functions import compile_expressions
 from hamsym.codegen.names import Names
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.support.validation import checked_numbers, shown
+from hamsym.support.validation import checked_numbers, outside_span, shown
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.brackets import phase_function
 from hamsym.symbolic.variables import TIME
@@ -108,8 +108,7 @@ def checked_times(t: Any, span: tuple[float, float]) -> np.ndarray:
     if not np.isfinite(times).all():
         raise InputError(f"t[{np.argmin(np.isfinite(times))}] is not finite; give finite times")
     low, high = min(span), max(span)
-    slack = 4e-16 * max(abs(low), abs(high))
-    outside = (times < low - slack) | (times > high + slack)
+    outside = outside_span(times, span)
     if outside.any():
         raise InputError(
             f"t[{np.argmax(outside)}] = {times[outside][0]:.16g} is outside the span from "
