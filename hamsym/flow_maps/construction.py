@@ -17,10 +17,10 @@ from hamsym.flow_maps.building import Builder, Built
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.flow_maps.judging import Judgement, judged
 from hamsym.hamiltonian import HamiltonianLike
-from hamsym.problems.problem import checked_atol, checked_span
+from hamsym.problems.problem import checked_atol, checked_span, checked_tol
 from hamsym.support.progress import share_progress
 from hamsym.support.suggestions import checked_keywords
-from hamsym.support.validation import require, require_whole
+from hamsym.support.validation import require_whole
 
 _STEPPED = 0.9  # share of the work that ends when the map reaches the last time
 _SMALLEST_TOL = 1e-11  # the solutions of which a map is made are exact to 1e-12
@@ -98,13 +98,7 @@ def flow_map(
     (5, 2)
     """
     box, times = checked_box(H, z0, parameters), checked_span(span)
-    number = isinstance(tol, (int, float, np.floating)) and not isinstance(tol, bool)
-    require(
-        number and _SMALLEST_TOL <= tol < 1,
-        "tol",
-        tol,
-        f"a number from {_SMALLEST_TOL:g} to below 1",
-    )
+    tol = checked_tol(tol, _SMALLEST_TOL)
     require_whole("points", points, 100)
     require_whole("seed", seed, 0)
     require_whole("max_solutions", max_solutions, 1)
@@ -118,7 +112,7 @@ def flow_map(
                 reached = _STEPPED * (t - times[0]) / (times[1] - times[0])
             report(reached, text)
 
-        construction = _Construction(box, times, float(tol), absolute, points, seed, note)
+        construction = _Construction(box, times, tol, absolute, points, seed, note)
         found = construction.expanded(max_solutions)
         report(1.0)
     return found

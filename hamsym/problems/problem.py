@@ -145,17 +145,14 @@ def checked_steps(length: float, steps: int | None, dt: float | None, default: i
     return max(1, math.ceil(count * (1 - 1e-12)))
 
 
-#: Smallest tolerance that float64 allows.
-SMALLEST_TOL = 1e-12
-
-
-def checked_tol(tol: Any) -> float:
+def checked_tol(tol: Any, least: float = 1e-12) -> float:
     """Return a relative tolerance.
 
-    Raise InputError if it is not a number from 1e-12 to below 1.
+    Raise InputError if it is not a number from ``least``, by default what float64 allows, to below
+    1.
     """
-    number = isinstance(tol, (int, float, np.floating)) and SMALLEST_TOL <= tol < 1
-    require(bool(number), "tol", tol, f"a number from {SMALLEST_TOL:g} to below 1")
+    number = isinstance(tol, (int, float, np.floating)) and least <= tol < 1
+    require(bool(number), "tol", tol, f"a number from {least:g} to below 1")
     return float(tol)
 
 
