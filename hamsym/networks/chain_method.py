@@ -86,9 +86,9 @@ def solve_by_chain(problem: InitialValueProblem, method: NetworkChain) -> Soluti
             passes += 1
             with _progress(problem.progress) as advance:
                 trained = _trained(problem, method, guess, settings, advance)
-            if trained.chain is None or trained.training is None:
+            if not trained.chain.pieces:
                 break
-            evaluations += trained.training.point_evaluations
+            evaluations += trained.training.point_evaluations + guess.record.point_evaluations
             rejected += trained.training.rejected
             estimate = estimate_chain_error(H, trained.chain, trained.training)
             found = _Pass(
@@ -103,7 +103,7 @@ def solve_by_chain(problem: InitialValueProblem, method: NetworkChain) -> Soluti
                 break
             tighter = local * min(max(_MARGIN / found.excess, 1e-3), 0.1)
             settings = replace(settings, tolerance=max(tighter, _LEAST_LOCAL))
-    if best is None or best.trained.chain is None or best.trained.training is None:
+    if best is None:
         raise InputError(f"no solution beyond t = {trained.reached:.6g}: {trained.reason}")
     record = replace(
         best.trained.training,
@@ -158,16 +158,7 @@ def _trained(
         settings,
         torch.Generator().manual_seed(problem.seed),
     ).trained(advance)
-    return replace(
-        found,
-        training=found.training
-        and replace(
-            found.training,
-            point_evaluations=found.training.point_evaluations + march.point_evaluations,
-        ),
-        reason=found.reason or march.reason,
-        doubt=found.doubt or march.doubt,
-    )
+    return replace(found, reason=found.reason or march.reason, doubt=found.doubt or march.doubt)
 
 
 @contextmanager

@@ -51,10 +51,10 @@ class ChainSettings(Settings):
 
 @dataclass(frozen=True)
 class TrainedChain:
-    """A chain and its record."""
+    """A chain, which may have no networks, and its record."""
 
-    chain: Chain | None
-    training: ChainTraining | None
+    chain: Chain
+    training: ChainTraining
     #: Why it ends before its last window does, "" if not.
     reason: str
     #: End of its last window.
@@ -267,8 +267,6 @@ class ChainRun:
         return found and f"{found}: a narrow pulse, a step or a jump"
 
     def _result(self) -> TrainedChain:
-        if not self._pieces:
-            return TrainedChain(None, None, self._reason, self._time, self._doubt)
         chain = Chain(tuple(self._pieces), self._time)
         training = ChainTraining(
             chain.edges,

@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -264,8 +265,9 @@ class WindowChecks:
         energy = self.flow.energy
 
         def values(s: np.ndarray) -> np.ndarray:
-            z, _, t = self._sampled(windows, np.full(len(s), index), s)
-            return energy(z, t)
+            parts = Parts(np.full(len(s), index), s, np.zeros(len(s)))
+            z, _, t = self._at(pieces_of(windows), parts, np.array([-1.0]))
+            return energy(z[:, 0], t[:, 0])
 
         s = np.concatenate(([0.0], collocation(_NODES).nodes, [1.0]))
         h = values(s)
@@ -295,19 +297,23 @@ class WindowChecks:
         t = times_of(pieces, parts, x)
         return Places(states[:, None] + z, rates / lengths[..., None], t)
 
-    def _sampled(
-        self, windows: Windows, window: np.ndarray, s: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Evaluate z^, dz^/dt and t at places s of windows, shapes (n, dim), (n, dim) and (n,)."""
-        parts = Parts(window, s, np.zeros(len(s)))
-        z, rates, t = self._at(pieces_of(windows), parts, np.array([-1.0]))
-        return z[:, 0], rates[:, 0], t[:, 0]
-
 
 def pieces_of(windows: Windows) -> Pieces:
     """Return windows that follow each other as pieces."""
     edges, states, readouts = windows
     return Pieces(edges[:-1], edges[1:], states[:-1], readouts)
+
+
+def places_of(
+    function: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    pieces: Pieces,
+    parts: Parts,
+    x: np.ndarray,
+) -> Places:
+    """Evaluate a function t -> (z^, dz^/dt) at places in [-1, 1] of parts of windows."""
+    t = times_of(pieces, parts, x)
+    z, rates = function(t.ravel())
+    return Places(z.reshape(*t.shape, -1), rates.reshape(*t.shape, -1), t)
 
 
 def times_of(pieces: Pieces, parts: Parts, x: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
+from hamsym.numerics.windows import times_in_windows
 from hamsym.random_features.basis import size_of
 from hamsym.support.record_fields import Count, Size, floats
 
@@ -88,6 +89,4 @@ class March:
 
     def times_in_windows(self, per_window: int) -> np.ndarray:
         """Return equally spaced times in each window, with its start, and the end."""
-        inside = np.linspace(0, 1, per_window, endpoint=False)
-        within = self.edges[:-1, None] + np.diff(self.edges)[:, None] * inside
-        return self.origin + np.append(within.ravel(), self.edges[-1])
+        return self.origin + times_in_windows(self.edges, per_window)

@@ -17,9 +17,8 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from hamsym.numerics.collocation import chebyshev_values
 from hamsym.numerics.tangent_maps import TangentMaps
-from hamsym.numerics.windows import locate
+from hamsym.numerics.windows import located_basis
 
 if TYPE_CHECKING:
     from hamsym.solution.solution import Solution
@@ -78,15 +77,14 @@ class Sensitivity:
         return np.concatenate(parts) * (self._units[:, None] / columns)
 
     def _values(self, t: np.ndarray) -> np.ndarray:
-        window, s = locate(self._edges, t - self._origin)
+        window, basis = located_basis(self._edges, t - self._origin, len(TangentMaps.nodes))
         values = np.empty((len(t), *self._starts.shape[1:]))
         for some in self._batches(np.unique(window)):
             here = np.isin(window, some)
             maps = self._maps(some)
             series = np.einsum("ln,inaw->wlia", maps.rule.to_series, maps.inside)
-            basis = chebyshev_values(np.clip(2 * s[here] - 1, -1, 1), len(maps.nodes))
             place = np.searchsorted(some, window[here])
-            inside = np.einsum("kl,klia->kia", basis, series[place])
+            inside = np.einsum("kl,klia->kia", basis[here], series[place])
             values[here] = self._moved(inside, self._starts[window[here]])
         return values
 

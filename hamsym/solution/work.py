@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hamsym.numerics.collocation import chebyshev_values, collocation
-from hamsym.numerics.windows import locate
+from hamsym.numerics.collocation import collocation
+from hamsym.numerics.windows import located_basis
 
 if TYPE_CHECKING:
     from hamsym.solution.solution import Solution
@@ -40,6 +40,5 @@ class Work:
 
     def __call__(self, t: np.ndarray) -> np.ndarray:
         """Evaluate at times of shape (n,)."""
-        window, s = locate(self._edges, t - self._origin)
-        basis = chebyshev_values(np.clip(2 * s - 1, -1, 1), _NODES)
+        window, basis = located_basis(self._edges, t - self._origin, _NODES)
         return np.asarray(self._starts[window] + (basis * self._series[window]).sum(axis=1))
