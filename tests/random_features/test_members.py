@@ -13,13 +13,14 @@ import pytest
 
 import hamsym
 from hamsym import Hamiltonian
-from hamsym.kernel.loops import Equations, Program
+from hamsym.kernel.loops import Equations
 from hamsym.random_features import members
 from hamsym.random_features.basis import FeatureBasis
 from hamsym.random_features.flow import flow_of
 from hamsym.random_features.members import Batch, MemberSolver, basis_for, checked_accuracy
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.systems import CATALOGUE
+from tests.kernel.row_functions import RowProgram
 
 HENON_HEILES = CATALOGUE["henon_heiles"]().H
 OSCILLATOR = Hamiltonian("p**2/2 + k*x**2/2", parameters={"k": 1})
@@ -52,10 +53,10 @@ def test_energy_is_kept_only_within_a_finite_limit(change: float, slope: float, 
     given = Equations(
         dim=2,
         separable=1,
-        velocity=Program(2, 1, 1, function=velocity),
+        velocity=RowProgram(2, 1, 1, velocity),
         force=flow.programs["force"],
         hessian=flow.programs["hessian"],
-        energy=Program(2, 1, 1, function=energy),
+        energy=RowProgram(2, 1, 1, energy),
     )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(members, "flow_of", lambda H: replace(flow, programs=given))
