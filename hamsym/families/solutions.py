@@ -351,9 +351,7 @@ class Solutions(Drawn, Saved):
         found, members = np.full((self.size, len(flat)), np.nan), self.members.ravel()
         for places, part, states in self._groups(flat):
             values = self._starts.own_parameters((members[places], None))
-            with np.errstate(all="ignore"):  # of states that are nan
-                arguments = system.arguments(states, flat[part])
-                found[places, part] = system.energy(*arguments, **system.keywords(values))
+            found[places, part] = system.at("energy", states, flat[part], values)
         return found.reshape(*self.shape, *times.shape)
 
     def _groups(self, times: np.ndarray) -> Iterator[tuple[np.ndarray, slice, np.ndarray]]:
