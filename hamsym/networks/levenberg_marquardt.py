@@ -25,7 +25,6 @@ from hamsym.networks.module_trial import ModuleTrial
 from hamsym.networks.network import Network, layers_of
 from hamsym.networks.objective import Objective
 from hamsym.networks.optimizers import QuasiNewton
-from hamsym.networks.points import fresh_points
 from hamsym.networks.sensitivities import Layer, backward, forward
 from hamsym.networks.trial import TrialSolution
 
@@ -70,7 +69,7 @@ class LevenbergMarquardt(QuasiNewton):
     @torch.no_grad()
     def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
         count = max(min(_FEWEST_POINTS, self.points), round(share * self.points))
-        t = fresh_points(span, count, self._dtype, self._generator).to(self._device)
+        t = self._drawn(span, count)
         z, dz = self._trial(t)
         rows = self._objective.rows(t, z, dz)
         rates = self._linearised(t, *self._objective.slopes(t, z, dz))

@@ -19,12 +19,10 @@ _WINDOWS = 400  # of a trajectory that has none of its own
 class Work:
     """The integral of ``H.power`` along a path, by Chebyshev series on windows.
 
-    - edges: Ends of windows, counted from ``origin``; by default equal windows.
+    - edges: Ends of windows, counted from ``origin``; with None equal windows.
     """
 
-    def __init__(
-        self, path: Solution, edges: np.ndarray | None = None, origin: float = 0.0
-    ) -> None:
+    def __init__(self, path: Solution, edges: np.ndarray | None, origin: float) -> None:
         if edges is None:
             edges, origin = np.linspace(*path.span, _WINDOWS + 1), 0.0
         self._edges, self._origin = edges, origin
