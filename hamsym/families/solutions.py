@@ -19,7 +19,7 @@ from hamsym.families.windows import ACCEPTED, MARCHED, OPEN, Table, Windows
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.problems.description import attributes_of
 from hamsym.problems.ensemble import Ensemble
-from hamsym.problems.observed import observed, observed_variable
+from hamsym.problems.observed import dataset_of_states, observed
 from hamsym.random_features.basis import basis_of_series, size_of
 from hamsym.random_features.error_estimate import RESOLUTIONS, MarchError, estimate_error
 from hamsym.random_features.features import Features
@@ -35,7 +35,7 @@ from hamsym.solution.times import times_in_span
 from hamsym.support.records import unpacked
 from hamsym.support.shown import Drawn, Saved
 from hamsym.support.suggestions import suggest_attributes
-from hamsym.support.tables import data_set, ensemble_frame, member_axes, time_name
+from hamsym.support.tables import ensemble_frame, member_axes, time_name
 
 if TYPE_CHECKING:  # optional packages
     import pandas
@@ -410,28 +410,16 @@ class Solutions(Drawn, Saved):
         axes = member_axes(self.shape)
         times = np.atleast_1d(times_in_span(t, self.span))
         states = self(times)
-        value, quantity = observed_variable(
-            names,
-            [*axes, "time"],
-            lambda names: observed(self.H, names, states, times, self.own_parameters),
-        )
-        return data_set(
-            {
-                "state": ([*axes, "time", "component"], states),
-                "success": (axes, self.success),
-                "message": (axes, self.message),
-                "largest_error": ([*axes, "component"], self.largest_error),
-                "z0": ([*axes, "component"], self.z0),
-                **value,
-            },
-            {
-                **quantity,
-                "time": times,
-                "component": list(self.H.names),
-                **{name: (axes, values) for name, values in self.parameters.items()},
-            },
-            self._attributes,
-        )
+        columns = observed(self.H, names, states, times, self.own_parameters) if names else {}
+        variables = {
+            "success": (axes, self.success),
+            "message": (axes, self.message),
+            "largest_error": ([*axes, "component"], self.largest_error),
+            "z0": ([*axes, "component"], self.z0),
+        }
+        varied = {name: (axes, values) for name, values in self.parameters.items()}
+        given = states, columns, variables, varied, self._attributes
+        return dataset_of_states(self.H, axes, times, *given)
 
     @property
     def _attributes(self) -> dict[str, Any]:

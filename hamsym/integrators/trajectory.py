@@ -17,11 +17,11 @@ from hamsym.integrators.interpolation import Interpolant
 from hamsym.integrators.table import INTEGRATORS
 from hamsym.problems.description import attributes_of
 from hamsym.problems.ensemble import Ensemble
-from hamsym.problems.observed import observed, observed_variable
+from hamsym.problems.observed import dataset_of_states, observed
 from hamsym.support.record_fields import UNSAVED, AnyFloat, Count, Size, counts, flags, floats
 from hamsym.support.shown import Drawn, Saved
 from hamsym.support.suggestions import suggest_attributes
-from hamsym.support.tables import data_set, ensemble_frame, member_axes, time_name
+from hamsym.support.tables import ensemble_frame, member_axes, time_name
 
 if TYPE_CHECKING:
     import pandas
@@ -435,20 +435,17 @@ class Trajectory(Drawn, Saved):
         """
         shape = self.ensemble.shape
         axes = member_axes(shape)
-        states = [*axes, "time", "component"]
-        success = np.array(np.broadcast_to(self.success, shape))
         variables = {
-            "state": (states, self.z),
             "energy": ([*axes, "time"], self.energy),
-            "success": (axes, success),
+            "success": (axes, np.array(np.broadcast_to(self.success, shape))),
             "message": (axes, self.messages),
         }
         if self.errors is not None:
-            variables["errors"] = (states, self.errors)
+            variables["errors"] = ([*axes, "time", "component"], self.errors)
         varied = {name: (axes, own.reshape(shape)) for name, own in self.ensemble.columns.items()}
-        value, quantity = observed_variable(names, [*axes, "time"], self._observed)
-        along = {"time": self.t, "component": list(self.names)}
-        return data_set(variables | value, {**along, **varied, **quantity}, self._attributes)
+        columns = self._observed(names) if names else {}
+        given = self.z, columns, variables, varied, self._attributes
+        return dataset_of_states(self.H, axes, self.t, *given)
 
     @property
     def _attributes(self) -> dict[str, Any]:
