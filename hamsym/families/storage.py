@@ -278,7 +278,7 @@ def open_store(path: str | os.PathLike[str]) -> Solutions:
         parts = [Part(*part) for part in contents.parts]
         windows = windows_of(place, parts, _row_shapes(contents.family))
         solutions = contents.solutions(windows, contents.order)
-        if [len(rows) for rows in windows] != list(_row_counts(solutions.table)):
+        if [len(rows) for rows in windows] != [n[-1] for n in solutions.table.first_rows]:
             raise ValueError("windows are missing")
     except FileError:
         raise
@@ -314,21 +314,13 @@ def _row_shapes(family: Family) -> dict[str, tuple[int, ...]]:
     }
 
 
-def _row_counts(table: Table) -> tuple[int, ...]:
-    """Return the number of rows of each array of :class:`Windows`."""
-    edges, windows, errors = (
-        int(first[-1]) for first in (table.first_edge, table.first_window, table.first_error)
-    )
-    return edges, edges, windows, errors, errors
-
-
 def _require_windows(solutions: Solutions, packed: Packed) -> None:
     """Raise ValueError unless the windows are those of the members."""
     family, table = solutions.family, solutions.table
     rows = _row_shapes(family).items()
-    for (name, row), count, array in zip(rows, _row_counts(table), packed, strict=True):
-        if array.shape != (count, *row):
-            raise ValueError(f"'{name}' has shape {array.shape}, not {(count, *row)}")
+    for (name, row), before, array in zip(rows, table.first_rows, packed, strict=True):
+        if array.shape != (int(before[-1]), *row):
+            raise ValueError(f"'{name}' has shape {array.shape}, not {(int(before[-1]), *row)}")
     solved = table.counts > 0
     first, last = table.first_edge[:-1][solved], table.first_edge[1:][solved] - 1
     start, end = family.span

@@ -82,11 +82,16 @@ class WindowChecks:
 
     def first_failure(self, windows: Windows, sizes: np.ndarray) -> Failure | None:
         """Check windows with components of these sizes; return None if all pass."""
-        found = self.unresolved(pieces_of(windows), sizes, first_only=True)
-        failure = None
-        if found:
-            first = found[0]
-            failure = Failure(first.window, [first.time], first.ratio, "the residual")
+        pieces, failure = pieces_of(windows), None
+        left = self._unbounded(pieces, sizes)
+        if len(left):
+            own = sizes if sizes.ndim == 1 else sizes[left]
+            some = Pieces(*(array[left] for array in pieces))
+            found = self.exceeding(some, own, self.flow.parameters, first_only=True)
+            if found:
+                first = found[0]
+                window = int(left[first.window])
+                failure = Failure(window, [first.time], first.ratio, "the residual")
         if self.flow.energy is not None:
             changes = self._energy_changes(windows, sizes)
             jumps = np.flatnonzero(~(changes[: failure.window if failure else None] <= 1))
@@ -95,26 +100,6 @@ class WindowChecks:
                 times = [self._energy_jump(windows, window)]
                 return Failure(window, times, float(changes[window]), "H")
         return failure
-
-    def unresolved(
-        self,
-        pieces: Pieces,
-        sizes: np.ndarray,
-        *,
-        first_only: bool = False,
-    ) -> list[Excess]:
-        """Find windows whose residual may be larger between the points of the march.
-
-        - sizes: Of the components, shape (dim,) or (windows, dim).
-        - first_only: Whether to search for the first of them only.
-        """
-        left = self._unbounded(pieces, sizes)
-        if not len(left):
-            return []
-        pieces = Pieces(*(array[left] for array in pieces))
-        sizes = sizes if sizes.ndim == 1 else sizes[left]
-        found = self.exceeding(pieces, sizes, self.flow.parameters, first_only=first_only)
-        return [excess._replace(window=int(left[excess.window])) for excess in found]
 
     def exceeding(
         self,
@@ -127,6 +112,7 @@ class WindowChecks:
         """Search windows, by halves, for those whose residual is larger between the points.
 
         - sizes, given: Sizes of components and values of parameters, for all or for each window.
+        - first_only: Whether to search for the first of them only.
         """
         limits = self._limits(pieces, sizes)
 
