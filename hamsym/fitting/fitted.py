@@ -236,7 +236,7 @@ class Fit(Saved):
             states = MappedMotions(self.flow, self.unknowns, flat).states(values)
         else:
             raise InputError("this fit has no motion; see its message")
-        rows = np.array(list(self.unknowns.parameters(values).values())).T[:, None]
+        rows = self.unknowns.parameter_rows(values)[:, None]
         shape = (*np.shape(self.success), *times.shape)
         found = {}
         for label, function in self._functions.items():

@@ -135,9 +135,7 @@ def _is_too_fast(unknowns: Unknowns, values: np.ndarray, span: tuple[float, floa
 
 def rates(unknowns: Unknowns, values: np.ndarray, start: float) -> np.ndarray:
     """Return the largest sizes of the eigenvalues of J Hess at starts, nan without one, (n,)."""
-    system = unknowns.H.compile("numpy")
-    columns = unknowns.parameters(values)
-    rows = np.array([columns[name] for name in unknowns.H.parameter_names]).T if columns else None
+    system, rows = unknowns.H.compile("numpy"), unknowns.parameter_rows(values)
     times = np.full(len(values), start)
     matrices = system.at("jacobian", unknowns.starts(values), times, rows)
     shape = (len(values), unknowns.H.dim, unknowns.H.dim)

@@ -83,7 +83,7 @@ class Model:
     def _observed(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return observables (n, observables, times) and derivatives in the free quantities."""
         states, motion = self.motions(values)
-        parameters = self.unknowns.parameters(values)
+        parameters = self.unknowns.parameter_rows(values)
         found, in_state, explicit = self.observables(states, self.observed.t, parameters)
         with np.errstate(all="ignore"):
             slopes = np.einsum("noti,ntik->notk", in_state, motion)
@@ -93,7 +93,7 @@ class Model:
 
     def squares(self, values: np.ndarray, sets: np.ndarray) -> np.ndarray:
         """Return chi-square for values (n, k) and their sets, nan without a motion, shape (n,)."""
-        parameters = self.unknowns.parameters(values)
+        parameters = self.unknowns.parameter_rows(values)
         found, _, _ = self.observables(self.motions.states(values), self.observed.t, parameters)
         present, sigma = self.observed.present[sets], self.observed.sigma[sets]
         with np.errstate(all="ignore"):
