@@ -79,6 +79,13 @@ def test_exact_solution_with_a_parameter(with_parameter: FlowMap) -> None:
     np.testing.assert_array_equal(with_parameter(t, states, {"k": k}), found)
 
 
+def test_parameter_with_a_name_of_python_varies() -> None:
+    box = {"x": (1.0, 1.1), "p": 0.0}
+    flow = hamsym.flow_map("p**2/2 + lambda*x**2/2", box, (0, 1), parameters={"lambda": (1, 1.1)})
+    assert flow.success, flow.message
+    assert abs(flow(1.0, {"x": 1.0}, {"lambda": 1.05})[0] - np.cos(np.sqrt(1.05))) < 1e-6
+
+
 def test_map_is_exact_at_the_start(oscillator: FlowMap) -> None:
     starts = np.random.default_rng(2).uniform([1, 0.7], [1.6, 1.3], (50, 2))
     np.testing.assert_array_equal(oscillator(0.0, starts), starts)
