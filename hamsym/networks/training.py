@@ -23,13 +23,7 @@ from hamsym.networks.network import Network
 from hamsym.networks.objective import Objective
 from hamsym.networks.optimizers import Optimizer
 from hamsym.networks.record import History, Stopped, Training, TrainingState
-from hamsym.networks.rules import (
-    Progress,
-    Stages,
-    StageSchedule,
-    limit_reached,
-    target_reached,
-)
+from hamsym.networks.rules import Course, Stages, limit_reached, target_reached
 
 # Products of points and weights below this are no faster on two threads, which cost twice the CPU
 # time.
@@ -99,7 +93,7 @@ class BestWeights:
 
 
 class _Run:
-    """A training in progress."""
+    """A training in course."""
 
     def __init__(
         self,
@@ -115,8 +109,7 @@ class _Run:
         self.optimizer, self.method, self.criteria = optimizer, optimizer.method, criteria
         self.fixed = optimizer.fixed_points(span)
         self.weights = BestWeights(trial)
-        self.progress = Progress()
-        self.schedule = StageSchedule(stages, span, self.method.total, self.progress)
+        self.course = Course(stages, span, self.method.total)
         self.losses: list[float] = []
         self.checks: list[tuple[int, float, float, float]] = []
 
@@ -130,7 +123,7 @@ class _Run:
             if size < _ONE_THREAD:
                 torch.set_num_threads(1)
             while stopped is None:
-                if self.progress.iteration >= self.method.total:
+                if self.course.iteration >= self.method.total:
                     stopped = Stopped.ITERATIONS
                     break
                 stopped = self._iterate(callbacks)
@@ -144,40 +137,38 @@ class _Run:
 
     def _record(self, stopped: str) -> Training:
         columns = np.array(self.checks, dtype=float).reshape(-1, 4).T
-        progress = self.progress
+        course = self.course
         return Training(
             history=History(np.array(self.losses), columns[0].astype(int), *columns[1:]),
             points=self.optimizer.points,
             iterations=len(self.losses),
-            restarts=progress.restarts,
-            best_loss=progress.best_loss,
-            best_ell_max=progress.best_ell_max,
+            restarts=course.restarts,
+            best_loss=course.best_loss,
+            best_ell_max=course.best_ell_max,
             stopped=stopped,
-            seconds=progress.seconds,
-            cpu_seconds=progress.cpu_seconds,
+            seconds=course.seconds,
+            cpu_seconds=course.cpu_seconds,
         )
 
     def _iterate(self, callbacks: Sequence[Callable[[TrainingState], None]]) -> str | None:
         """Perform one iteration; return the reason for which the training ends, if any."""
-        progress, schedule, total = self.progress, self.schedule, self.method.total
-        last_stage = schedule.is_last
-        loss, motion = self.optimizer.iterate(
-            schedule.span, schedule.share, progress.iteration / total
-        )
+        course, total = self.course, self.method.total
+        last_stage = course.is_last
+        loss, motion = self.optimizer.iterate(course.span, course.share, course.iteration / total)
         self.losses.append(loss)
-        progress.iteration += 1
-        progress.in_stage += 1
+        course.iteration += 1
+        course.in_stage += 1
         if not math.isfinite(loss):
             return self._restart(Stopped.DIVERGED)
-        is_record = loss < 0.9 * progress.lowest
-        progress.lowest = min(progress.lowest, loss)
+        is_record = loss < 0.9 * course.lowest
+        course.lowest = min(course.lowest, loss)
         if not last_stage:
-            if schedule.is_passed(loss, motion):
-                schedule.advance()
-            elif self.optimizer.stalled or schedule.is_exhausted:
+            if course.is_passed(loss, motion):
+                course.advance()
+            elif self.optimizer.stalled or course.is_exhausted:
                 return self._restart(Stopped.STALLED)
-        regular = progress.iteration % self.optimizer.check_every == 0
-        checked = regular or progress.iteration == total or (last_stage and is_record)
+        regular = course.iteration % self.optimizer.check_every == 0
+        checked = regular or course.iteration == total or (last_stage and is_record)
         if checked:
             self._check(callbacks)
             if (stopped := self._rule_met()) is not None:
@@ -185,61 +176,61 @@ class _Run:
         if not last_stage:
             return None
         stalled = self.optimizer.stalled
-        poor = progress.best_loss > _POOR * motion
-        if poor and (stalled or (checked and schedule.is_exhausted)):
+        poor = course.best_loss > _POOR * motion
+        if poor and (stalled or (checked and course.is_exhausted)):
             return self._restart(Stopped.STALLED)
         return Stopped.STALLED if stalled else None
 
     def _check(self, callbacks: Sequence[Callable[[TrainingState], None]]) -> None:
         """Evaluate the current weights at the fixed points, and keep them if they are the best."""
-        progress = self.progress
+        course = self.course
         with torch.no_grad():
             z, dz = self.trial(self.fixed)
             loss = float(self.objective(self.fixed, z, dz))
             residual = self.objective.residual(self.fixed, z, dz)
             ell_max = float(residual.square().sum(-1).max().sqrt())
-        if loss < progress.best_loss:
-            progress.best_loss, progress.best_ell_max = loss, ell_max
-            progress.improved = progress.iteration
+        if loss < course.best_loss:
+            course.best_loss, course.best_ell_max = loss, ell_max
+            course.improved = course.iteration
             self.weights.keep()
         self._clock()
-        self.checks.append((progress.iteration, loss, ell_max, progress.seconds))
+        self.checks.append((course.iteration, loss, ell_max, course.seconds))
         state = TrainingState(
-            iteration=progress.iteration,
+            iteration=course.iteration,
             iterations=self.method.total,
             loss=loss,
-            best_loss=progress.best_loss,
+            best_loss=course.best_loss,
             ell_max=ell_max,
-            seconds=progress.seconds,
+            seconds=course.seconds,
         )
         for callback in callbacks:
             callback(state)
 
     def _rule_met(self) -> str | None:
         """Return the first rule that the best weights meet, if any."""
-        progress = self.progress
-        if (target := target_reached(self.method, progress)) is not None:
+        course = self.course
+        if (target := target_reached(self.method, course)) is not None:
             return target
-        if self.criteria and progress.best_loss <= progress.judged / 4:
-            progress.judged = progress.best_loss
+        if self.criteria and course.best_loss <= course.judged / 4:
+            course.judged = course.best_loss
             record = self._record(Stopped.INTERRUPTED)
             with self.weights.in_trial():
                 met = [name for name, is_met in self.criteria.items() if is_met(record)]
             if met:
                 return met[0]
-        return limit_reached(self.method, progress, self.schedule.is_last)
+        return limit_reached(self.method, course)
 
     def _restart(self, reason: Stopped) -> Stopped | None:
         """Restart with new weights, or end for this reason if no restart is left."""
-        if not self.schedule.can_restart():
+        if not self.course.can_restart():
             return reason
         for module in self.trial.modules():
             if isinstance(module, Network):
                 module.draw(self.generator)
         self.optimizer.reset()
-        self.schedule.restart()
+        self.course.restart()
         return None
 
     def _clock(self) -> None:
-        self.progress.seconds = time.perf_counter() - self.began
-        self.progress.cpu_seconds = time.process_time() - self.cpu_began
+        self.course.seconds = time.perf_counter() - self.began
+        self.course.cpu_seconds = time.process_time() - self.cpu_began

@@ -19,6 +19,7 @@ import numpy as np
 from hamsym.bounds.discs import decade_of, disc_tables
 from hamsym.bounds.models import DEGREE, NODES, PLACES, bounded, model_tables
 from hamsym.bounds.residual import (
+    ROUND_OFF,
     SHARE,
     Excess,
     ExcessSearch,
@@ -35,7 +36,6 @@ from hamsym.random_features.flow import Flow
 from hamsym.random_features.windows import Windows
 
 SLACK = 10.0  # times the residual that the march allows at its own places
-_ROUND_OFF = 256 * 2.0**-52  # of the residual, relative to the rates
 _NOISE = 8.0  # times the typical change of the rates for one unit in the last place of the states
 # Distance of places from the ends of their window, as in the march: units in the last place of the
 # time at least, and at most where that is a small share of the window.
@@ -219,7 +219,7 @@ class WindowChecks:
         """Allowed integrals of the residual over windows, shape (windows, dim)."""
         lengths = np.abs(pieces.end - pieces.start)[:, None]
         largest = np.abs(self._at(pieces, Parts.whole(len(lengths)), NODES).rates).max(axis=1)
-        return np.asarray(self.tolerance * sizes + _ROUND_OFF * lengths * largest)
+        return np.asarray(self.tolerance * sizes + ROUND_OFF * lengths * largest)
 
     def _residuals(
         self, pieces: Pieces, parts: Parts, x: np.ndarray, given: np.ndarray
@@ -241,7 +241,7 @@ class WindowChecks:
         slopes = np.abs(np.roll(self.flow.vector_field(z, t), half, axis=1))
         slopes = np.maximum(slopes[:-1], slopes[1:])
         size = np.maximum(np.abs(z[:-1]), np.abs(z[1:]))
-        rounding = _ROUND_OFF * (np.abs(energies[:-1]) + (slopes * size).sum(axis=1))
+        rounding = ROUND_OFF * (np.abs(energies[:-1]) + (slopes * size).sum(axis=1))
         allowed = self.tolerance * (slopes * sizes).sum(axis=1) + rounding
         return largest_ratios(np.abs(np.diff(energies))[:, None], SLACK * allowed[:, None])
 

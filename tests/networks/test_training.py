@@ -15,7 +15,7 @@ from hamsym.networks.network import ComponentNetworks, Network
 from hamsym.networks.objective import Objective, Regularizer
 from hamsym.networks.optimizers import LBFGS, Adam, Optimizer
 from hamsym.networks.record import Training, TrainingState
-from hamsym.networks.rules import Progress, Stages, limit_reached
+from hamsym.networks.rules import Course, Stages, limit_reached
 from hamsym.networks.self_scaled_broyden import SelfScaledBroyden
 from hamsym.networks.training import train
 from hamsym.networks.trial import TrialSolution
@@ -322,10 +322,11 @@ def test_patience_ends_training() -> None:
 
 
 def test_patience_begins_with_a_stage() -> None:
-    method, progress = hamsym.Adam(patience=50), Progress(iteration=100, improved=10, in_stage=49)
-    assert limit_reached(method, progress, last_stage=True) is None
-    progress.in_stage = 50
-    assert limit_reached(method, progress, last_stage=True) == "patience"
+    method = hamsym.Adam(patience=50)
+    course = Course(WHOLE, (0, 1), 1_000, iteration=100, improved=10, in_stage=49)
+    assert limit_reached(method, course) is None
+    course.in_stage = 50
+    assert limit_reached(method, course) == "patience"
 
 
 @pytest.mark.slow_cases("levenberg-marquardt", "ssbroyden", "lbfgs")
