@@ -355,10 +355,8 @@ class Solutions(Drawn, Saved):
         return found.reshape(*self.shape, *times.shape)
 
     def _groups(self, times: np.ndarray) -> Iterator[tuple[np.ndarray, slice, np.ndarray]]:
-        family, members = self.family, self.members.ravel()
-        return states_in_groups(
-            self.table, self.windows, family.series, family.origin, self.span[1], members, times
-        )
+        members = self.members.ravel()
+        return states_in_groups(self.family, self.table, self.windows, members, times)
 
     # -- proofs ------------------------------------------------------------------------------
 

@@ -81,10 +81,6 @@ class Box:
             raise ValueError("its box varies what neither H nor an expression contains")
         self.states(self.at(np.zeros((1, len(self)))))  # raises for expressions of other symbols
 
-    def scaled(self, inputs: np.ndarray) -> np.ndarray:
-        """Return inputs, shape (..., d), scaled to [-1, 1]."""
-        return (2 * inputs - (self.low + self.high)) / (self.high - self.low)
-
     def at(self, y: np.ndarray) -> np.ndarray:
         """Return the inputs of scaled ones; within the box for y in [-1, 1]."""
         inputs = 0.5 * ((1 - y) * self.low + (1 + y) * self.high)

@@ -51,9 +51,9 @@ class StepScales:
         self._scales = None if found is None else [scale for _, scale in found]
         self._arguments = compile_expressions([g for g, _ in found or []], equations)
         terms = [_magnitude(g) for g, _ in found or [] if _cancels(g)]
-        self._terms = compile_expressions(terms, equations) if terms else None
+        self._terms = compile_expressions(terms, equations)
         switches = [switch for switch, _ in equations.switches(variables)]
-        self._switches = compile_expressions(switches, equations) if switches else None
+        self._switches = compile_expressions(switches, equations)
 
     def resolved(
         self, z: np.ndarray, t: np.ndarray, parameters: np.ndarray | None, blocks: np.ndarray
@@ -79,18 +79,14 @@ class StepScales:
                 found &= high * low > 0
             else:
                 found &= high - low <= scale.value
-        if self._terms is not None:
-            terms = self._terms(z[:, blocks[:, 0]], t[blocks[:, 0]], own)
-            found &= (terms <= _CANCELLED).all(axis=2)
-        return found
+        terms = self._terms(z[:, blocks[:, 0]], t[blocks[:, 0]], own)
+        return found & (terms <= _CANCELLED).all(axis=2)
 
     def switched(self, z: np.ndarray, t: np.ndarray, parameters: np.ndarray | None) -> np.ndarray:
         """Whether each argument of abs, sign or similar changes its sign in each step.
 
         The parameters are those of :meth:`resolved`; shape (n, steps, arguments).
         """
-        if self._switches is None:
-            return np.zeros((len(z), len(t) - 1, 0), dtype=bool)
         signs = np.sign(self._switches(z, t, None if parameters is None else parameters[:, None]))
         return np.asarray(signs[:, 1:] != signs[:, :-1])
 

@@ -467,5 +467,4 @@ def test_box_converts_inputs() -> None:
     assert box.names == ("x", "k")
     inputs = box.at(np.array([[-1.0, 1.0]]))
     np.testing.assert_array_equal(inputs, [[1.0, 1.5]])
-    np.testing.assert_array_equal(box.scaled(inputs), [[-1.0, 1.0]])
     np.testing.assert_array_equal(box.states(inputs), [[1.0, 0.5]])
