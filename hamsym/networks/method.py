@@ -45,7 +45,6 @@ _OPTIMIZERS: dict[type[JointTraining], type[optimizers.Optimizer]] = {
     SSBroyden: SelfScaledBroyden,
     LevenbergMarquardt: levenberg_marquardt.LevenbergMarquardt,
 }
-_DTYPES = {"float32": torch.float32, "float64": torch.float64}
 # Largest input of the network for methods of second order, on any span.
 _INPUT_RANGE = 4 * math.pi
 _STALLED_AFTER = 60  # iterations of Levenberg-Marquardt on one span
@@ -63,7 +62,7 @@ def solve_by_training(problem: InitialValueProblem, method: JointTraining) -> So
             "[Regularizer(weight, function)]"
         )
     tau = abs(end - start) / _INPUT_RANGE if method.tau is None else method.tau
-    precision = _DTYPES[str(method.dtype)]
+    precision: torch.dtype = getattr(torch, str(method.dtype))
     device = available_device(method.device, precision)
     # Random numbers are drawn on the CPU, so that a seed means the same on every device.
     generator = torch.Generator("cpu").manual_seed(problem.seed)
@@ -102,7 +101,7 @@ def solve_by_training(problem: InitialValueProblem, method: JointTraining) -> So
 
     objective = _objective(H, _penalties(problem, method), tuple(method.regularizers))
     optimizer = next(own for kind, own in _OPTIMIZERS.items() if isinstance(method, kind))
-    with training_progress(method.total, problem.progress) as callbacks:
+    with training_progress(method.total, problem.progress) as tell:
         training = train(
             trial,
             objective,
@@ -111,7 +110,7 @@ def solve_by_training(problem: InitialValueProblem, method: JointTraining) -> So
             generator=generator,
             stages=_stages(method, trial),
             criteria=_criteria(problem, method, solution),
-            callbacks=callbacks,
+            tell=tell,
         )
     trial.requires_grad_(False).to("cpu")
     if isinstance(trial, TrialSolution):

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
 import numpy as np
@@ -41,7 +41,7 @@ def train(
     generator: torch.Generator,
     stages: Stages,
     criteria: Mapping[str, Callable[[Training], bool]] | None = None,
-    callbacks: Sequence[Callable[[TrainingState], None]] = (),
+    tell: Callable[[TrainingState], None] = lambda state: None,
 ) -> Training:
     """Minimise an objective over a time span.
 
@@ -53,11 +53,11 @@ def train(
     - generator: Source of all random numbers.
     - criteria: Further rules for stopping by their names: each judges the trial solution, with the
       best weights, and the record of the training so far, when the loss has quartered.
-    - callbacks: Each is called with a :class:`TrainingState` after evaluations at the fixed points.
+    - tell: Called after evaluations at the fixed points.
     """
     optimizer.bind(trial, objective, generator)
-    run = _Run(trial, objective, span, optimizer, criteria or {}, stages, generator)
-    return run.through(callbacks)
+    run = _Run(trial, objective, span, optimizer, criteria or {}, stages, generator, tell)
+    return run.through()
 
 
 class BestWeights:
@@ -93,7 +93,7 @@ class BestWeights:
 
 
 class _Run:
-    """A training in course."""
+    """A training in progress."""
 
     def __init__(
         self,
@@ -104,8 +104,9 @@ class _Run:
         criteria: Mapping[str, Callable[[Training], bool]],
         stages: Stages,
         generator: torch.Generator,
+        tell: Callable[[TrainingState], None],
     ) -> None:
-        self.trial, self.objective, self.generator = trial, objective, generator
+        self.trial, self.objective, self.generator, self.tell = trial, objective, generator, tell
         self.optimizer, self.method, self.criteria = optimizer, optimizer.method, criteria
         self.fixed = optimizer.fixed_points(span)
         self.weights = BestWeights(trial)
@@ -113,7 +114,7 @@ class _Run:
         self.losses: list[float] = []
         self.checks: list[tuple[int, float, float, float]] = []
 
-    def through(self, callbacks: Sequence[Callable[[TrainingState], None]]) -> Training:
+    def through(self) -> Training:
         """Train until a rule ends it."""
         threads = torch.get_num_threads()
         size = len(self.fixed) * sum(weights.numel() for weights in self.weights.parameters)
@@ -126,7 +127,7 @@ class _Run:
                 if self.course.iteration >= self.method.total:
                     stopped = Stopped.ITERATIONS
                     break
-                stopped = self._iterate(callbacks)
+                stopped = self._iterate()
         except KeyboardInterrupt:
             stopped = Stopped.INTERRUPTED
         finally:
@@ -150,7 +151,7 @@ class _Run:
             cpu_seconds=course.cpu_seconds,
         )
 
-    def _iterate(self, callbacks: Sequence[Callable[[TrainingState], None]]) -> str | None:
+    def _iterate(self) -> str | None:
         """Perform one iteration; return the reason for which the training ends, if any."""
         course, total = self.course, self.method.total
         last_stage = course.is_last
@@ -170,7 +171,7 @@ class _Run:
         regular = course.iteration % self.optimizer.check_every == 0
         checked = regular or course.iteration == total or (last_stage and is_record)
         if checked:
-            self._check(callbacks)
+            self._check()
             if (stopped := self._rule_met()) is not None:
                 return stopped
         if not last_stage:
@@ -181,7 +182,7 @@ class _Run:
             return self._restart(Stopped.STALLED)
         return Stopped.STALLED if stalled else None
 
-    def _check(self, callbacks: Sequence[Callable[[TrainingState], None]]) -> None:
+    def _check(self) -> None:
         """Evaluate the current weights at the fixed points, and keep them if they are the best."""
         course = self.course
         with torch.no_grad():
@@ -195,16 +196,8 @@ class _Run:
             self.weights.keep()
         self._clock()
         self.checks.append((course.iteration, loss, ell_max, course.seconds))
-        state = TrainingState(
-            iteration=course.iteration,
-            iterations=self.method.total,
-            loss=loss,
-            best_loss=course.best_loss,
-            ell_max=ell_max,
-            seconds=course.seconds,
-        )
-        for callback in callbacks:
-            callback(state)
+        given = course.iteration, self.method.total, loss, course.best_loss, ell_max
+        self.tell(TrainingState(*given, course.seconds))
 
     def _rule_met(self) -> str | None:
         """Return the first rule that the best weights meet, if any."""

@@ -61,7 +61,7 @@ def test_best_weights_at_fixed_points_are_kept() -> None:
         adam(points=10, learning_rate=0.05, epochs=300),
         generator=generator,
         stages=WHOLE,
-        callbacks=[spoil],
+        tell=spoil,
     )
     fixed = (torch.arange(20, dtype=torch.float64) + 0.5) * 0.1
     with torch.no_grad():
@@ -163,7 +163,7 @@ def test_interruption_returns_the_best_so_far() -> None:
         if state.iteration >= 50:
             raise KeyboardInterrupt
 
-    training = trained(DECAY, (0, 1), adam(points=10, epochs=1000), callbacks=[interrupt])
+    training = trained(DECAY, (0, 1), adam(points=10, epochs=1000), tell=interrupt)
     assert training.stopped == "interrupted"
     assert 50 <= training.iterations < 1000
     assert math.isfinite(training.best_loss)
@@ -171,7 +171,7 @@ def test_interruption_returns_the_best_so_far() -> None:
 
 def test_callbacks_agree_with_history() -> None:
     states: list[TrainingState] = []
-    training = trained(DECAY, (0, 1), adam(points=10, epochs=200), callbacks=[states.append])
+    training = trained(DECAY, (0, 1), adam(points=10, epochs=200), tell=states.append)
     history = training.history
     assert len(history.loss) == training.iterations == 200
     assert [s.iteration for s in states] == history.iteration.tolist()
@@ -213,7 +213,7 @@ def test_cosine_schedule_ends_at_rate_zero() -> None:
             adam(points=20, **options),
             generator=generator,
             stages=WHOLE,
-            callbacks=[snapshot],
+            tell=snapshot,
         )
         moved[schedule] = (snapshots[-1] - snapshots[-2]).norm()
     assert moved["cosine"] < 0.1 * moved["constant"]
