@@ -18,6 +18,7 @@ import sympy
 
 from hamsym.errors import HamsymError, InputError
 from hamsym.families.many import solve_many
+from hamsym.families.solutions import Solutions
 from hamsym.fitting.unknowns import Unknowns
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.random_features.members import MemberSolver
@@ -74,6 +75,17 @@ class SolvedMotions:
     def _solved(self, values: np.ndarray) -> Solution:
         H, start = self.unknowns.hamiltonian(values), self.unknowns.starts(values[None])[0]
         return solve(H, start, self.span, tol=self.tol)
+
+    def solutions(self, values: np.ndarray) -> Solutions:
+        """Return the solutions with values of shape (n, k), solved together."""
+        return solve_many(
+            self.unknowns.H,
+            self.unknowns.starts(values),
+            self.span,
+            tol=self.tol,
+            parameters=self.unknowns.parameters(values),
+            progress=False,
+        )
 
     def __call__(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         states, slopes = self._unknown(values)
@@ -220,15 +232,7 @@ class LiftedMotions(SolvedMotions):
     def states(self, values: np.ndarray) -> np.ndarray:
         (states, _), rows = self._unknown(values), self._slow(values)
         if len(rows):
-            many = solve_many(
-                self.unknowns.H,
-                self.unknowns.starts(values[rows]),
-                self.span,
-                tol=self.tol,
-                parameters=self.unknowns.parameters(values[rows]),
-                progress=False,
-            )
-            states[rows] = many(self.t)
+            states[rows] = self.solutions(values[rows])(self.t)
         return states
 
     def _resized(self, responses: np.ndarray, reference: np.ndarray) -> bool:
