@@ -137,8 +137,8 @@ def solve_many(
     require_whole("seed", seed, 0)
     accuracy = checked_accuracy(tol, atol, max_window, times, members.H.dim)
     basis = basis_for(int(seed), accuracy.tol)
-    absolute = tuple(accuracy.absolute.tolist())
-    asked = accuracy.tol, absolute, max_window
+    longest = None if max_window is None else float(max_window)
+    asked = accuracy.tol, tuple(accuracy.absolute.tolist()), longest
     family = Family(members.H, times, *asked, int(seed), members.varied, basis.series)
     if client is not None:
         require_client(client)

@@ -50,8 +50,8 @@ class Family:
     H: Hamiltonian
     span: tuple[float, float]
     tol: float
-    #: Absolute tolerance, one or one for each component.
-    atol: float | tuple[float, ...]
+    #: Absolute tolerance of each component.
+    atol: tuple[float, ...]
     max_window: float | None
     seed: int
     #: Parameters that were given as arguments.
@@ -71,9 +71,8 @@ class Family:
     @cached_property
     def settings(self) -> Settings:
         """What is asked of each member."""
-        accuracy, method = self.accuracy, Features(max_window=self.max_window)
-        atol = tuple(accuracy.absolute.tolist())
-        return Settings(self.span, accuracy.tol, atol=atol, seed=self.seed, options=method.given)
+        options = Features(max_window=self.max_window).given
+        return Settings(self.span, self.tol, atol=self.atol, seed=self.seed, options=options)
 
     @property
     def origin(self) -> float:

@@ -61,19 +61,10 @@ class Contents:
     @classmethod
     def of(cls, solutions: Solutions, **windows: Any) -> Any:
         """Make them from solutions, with windows or what stands for them."""
-        family, found = solutions.family, solutions.family.accuracy
-        longest = family.max_window
+        family = solutions.family
         return cls(
-            H=family.H,
-            span=family.span,
-            tol=float(found.tol),
-            atol=tuple(found.absolute.tolist()),
-            max_window=None if longest is None else float(longest),
-            seed=family.seed,
-            varied=family.varied,
-            shape=solutions.shape,
-            table=solutions.table,
-            basis=family.series,
+            *(family.H, family.span, family.tol, family.atol, family.max_window),
+            *(family.seed, family.varied, solutions.shape, solutions.table, family.series),
             **windows,
         )
 
@@ -243,12 +234,11 @@ class WindowStore:
 
 def _request(family: Family, members: Ensemble) -> str:
     """Compute SHA-256 of all that determines the solutions."""
-    found, longest = family.accuracy, family.max_window
     values = {
         "version": hamsym.__version__,
         "H": described(family.H),
         "span": [float(time).hex() for time in family.span],
-        "options": [float(found.tol), found.absolute.tolist(), longest],
+        "options": [family.tol, list(family.atol), family.max_window],
         "seed": family.seed,
         "varied": list(family.varied),
         "shape": list(members.shape),
