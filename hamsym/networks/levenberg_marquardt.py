@@ -15,6 +15,7 @@ one more solve with the same factor and saves most of the iterations.
 from __future__ import annotations
 
 from itertools import accumulate
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -22,7 +23,7 @@ from torch import Tensor
 from hamsym.errors import InputError
 from hamsym.networks.module_rates import ModuleRates
 from hamsym.networks.module_trial import ModuleTrial
-from hamsym.networks.network import Network, layers_of
+from hamsym.networks.network import layers_of
 from hamsym.networks.objective import Objective
 from hamsym.networks.optimizers import QuasiNewton
 from hamsym.networks.sensitivities import Layer, backward, forward
@@ -72,7 +73,8 @@ class LevenbergMarquardt(QuasiNewton):
         t = self._drawn(span, count)
         z, dz = self._trial(t)
         rows = self._objective.rows(t, z, dz)
-        rates = self._linearised(t, *self._objective.slopes(t, z, dz))
+        kind: Any = ModuleRates if isinstance(self._trial, ModuleTrial) else _Linearised
+        rates = kind(self._trial, t, *self._objective.slopes(t, z, dz))
         gram = rates.gram()
         # Rows in the order (component, point), as in the Gram matrix.
         residual = rows.T.reshape(-1)
@@ -111,11 +113,6 @@ class LevenbergMarquardt(QuasiNewton):
             self._failures += 1
         return square / count, float(dz.square().sum(-1).mean())
 
-    def _linearised(self, t: Tensor, in_z: Tensor, in_dz: Tensor) -> _Linearised | ModuleRates:
-        if isinstance(self._trial, ModuleTrial):
-            return ModuleRates(self._trial, t, in_z, in_dz)
-        return _Linearised(self._trial, self._trial.parts, t, in_z, in_dz)
-
     def _residual(self, t: Tensor) -> Tensor:
         return self._objective.rows(t, *self._trial(t)).T.reshape(-1)
 
@@ -135,14 +132,8 @@ def _norm(parts: list[Tensor]) -> float:
 class _Linearised:
     """Products with the derivative J of the rows (component, point) in the weights."""
 
-    def __init__(
-        self,
-        trial: TrialSolution,
-        networks: list[Network],
-        t: Tensor,
-        in_z: Tensor,
-        in_dz: Tensor,
-    ) -> None:
+    def __init__(self, trial: TrialSolution, t: Tensor, in_z: Tensor, in_dz: Tensor) -> None:
+        networks = trial.parts
         self._to_value, self._to_rate = trial.to_network(t, in_z, in_dz)
         s = trial.envelope_at(t)[0].unsqueeze(1)
         ones = torch.ones_like(s)

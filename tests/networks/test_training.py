@@ -412,7 +412,7 @@ def test_products_with_the_jacobian(hidden: tuple[int, ...], shared: bool) -> No
     objective = squares_of(lambda t, z, dz: rows(z, dz))
     with torch.no_grad():
         z, dz = trial(t)
-        linearised = _Linearised(trial, networks, t, *objective.slopes(t, z, dz))
+        linearised = _Linearised(trial, t, *objective.slopes(t, z, dz))
         gram = linearised.gram().tril()
         y = torch.randn(15, dtype=torch.float64, generator=generator)
         transposed = torch.cat(linearised.transposed(y))
