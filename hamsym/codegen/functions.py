@@ -23,11 +23,12 @@ _INFINITE = (sympy.nan, sympy.zoo, sympy.oo, -sympy.oo)
 def compile_expressions(
     expressions: Sequence[sympy.Expr], equations: Equations
 ) -> Callable[..., np.ndarray]:
-    """Compile expressions to a numpy function of states and times.
+    """Compile expressions to a numpy function of states, times and values of the parameters.
 
     - expressions: In the real symbols of the equations and the time.
     - equations: Every parameter in the expressions must have a value.
-    - returns: (z, t=0.0) of shapes (..., dim) and (...) -> (..., k).
+    - returns: (z, t=0.0, parameters=None) of shapes (..., dim) and (...) -> (..., k); parameters of
+      shape (..., parameters), in the order of those of the equations, replace their values.
 
     Examples
     --------
@@ -36,27 +37,22 @@ def compile_expressions(
     >>> compile_expressions([k*x, p/2], equations)([2.0, 1.0])
     array([6. , 0.5])
     """
-    return _compiled(expressions_source(expressions, equations))
+    function = _compiled(expressions_source(expressions, equations))
+    keywords = [keyword for keyword, _ in Names(equations).parameters]
+    columns = [(k, i) for i, k in enumerate(keywords) if k in (function.__kwdefaults__ or {})]
+
+    def values(z: Any, t: Any = 0.0, parameters: np.ndarray | None = None) -> np.ndarray:
+        if parameters is None:
+            return np.asarray(function(z, t))
+        return np.asarray(function(z, t, **{k: parameters[..., i] for k, i in columns}))
+
+    return values
 
 
 def compile_observable(expression: sympy.Expr, equations: Equations) -> Callable[..., np.ndarray]:
-    """Compile an expression to a numpy function of states, times and values of the parameters.
-
-    - expression, equations: As for :func:`compile_expressions`.
-    - returns: (z, t=0.0, parameters=None) -> (...); parameters of shape (..., k), in the order of
-      those of the equations, replace their values.
-    """
+    """Compile an expression as :func:`compile_expressions` does, to values of shape (...)."""
     function = compile_expressions([expression], equations)
-    used = {symbol.name for symbol in expression.free_symbols}
-    keywords = enumerate(zip(equations.parameters, Names(equations).parameters, strict=True))
-    columns = {keyword: i for i, (name, (keyword, _)) in keywords if name in used}
-
-    def values(z: Any, t: Any = 0.0, parameters: np.ndarray | None = None) -> np.ndarray:
-        given = {} if parameters is None else columns
-        of = {keyword: parameters[..., i] for keyword, i in given.items()}  # type: ignore[index]
-        return function(z, t, **of)[..., 0][()]
-
-    return values
+    return lambda z, t=0.0, parameters=None: function(z, t, parameters)[..., 0][()]
 
 
 def compile_straight_line(

@@ -24,7 +24,7 @@ from hamsym.facts.wording import (
 from hamsym.numerics.scales import ratios
 from hamsym.problems.conservation import KnownInvariants
 from hamsym.proof.arithmetic.balls import decimal
-from hamsym.solution.invariant_check import judged_by_invariants
+from hamsym.solution.acceptance import judged_by_invariants
 from hamsym.support.text_tables import share
 
 if TYPE_CHECKING:

@@ -22,9 +22,9 @@ from hamsym.problems.conservation import KnownInvariants
 from hamsym.problems.ensemble import Ensemble
 from hamsym.problems.problem import InitialValueProblem
 from hamsym.random_features.features import Features
-from hamsym.random_features.members import Batch
-from hamsym.random_features.method import basis_for, solve_by_march
-from hamsym.solution.invariant_check import judged_by_invariants
+from hamsym.random_features.members import Batch, basis_for
+from hamsym.random_features.method import solve_by_march
+from hamsym.solution.acceptance import judged_by_invariants
 from hamsym.solution.solution import Solution
 from hamsym.support.records import packed
 
@@ -62,11 +62,8 @@ class BlockSolver:
         system, good = members.H.compile("numpy"), np.empty(len(members), dtype=bool)
         for first in range(0, len(members), _CHECKED):
             part = slice(first, first + _CHECKED)
-            values = members.own_parameters(part)
-            arguments = system.arguments(members.states[part], family.span[0])
-            with np.errstate(all="ignore"):
-                energies = system.energy(*arguments, **system.keywords(values))
-                rates = system.vector_field(*arguments, **system.keywords(values))
+            given = members.states[part], family.span[0], members.own_parameters(part)
+            energies, rates = (system.at(name, *given) for name in ("energy", "vector_field"))
             good[part] = np.isfinite(energies) & np.isfinite(rates).all(axis=-1)
         good &= np.isfinite(members.states).all(axis=1)
         for member in np.flatnonzero(~good).tolist():

@@ -7,11 +7,15 @@ so that the result is the same to the last bit.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hamsym.families.windows import Table, Windows
 from hamsym.random_features.trial import paths_of
+
+if TYPE_CHECKING:
+    from hamsym.families.solutions import Family
 
 _TIMES = 4_096  # as for one solution
 _STATES = 8_192  # of a group
@@ -19,23 +23,16 @@ _WINDOWS = 8_192  # that are read for a group
 
 
 def states_in_groups(
-    table: Table,
-    windows: Windows,
-    series: np.ndarray,
-    origin: float,
-    end: float,
-    members: np.ndarray,
-    times: np.ndarray,
+    family: Family, table: Table, windows: Windows, members: np.ndarray, times: np.ndarray
 ) -> Iterator[tuple[np.ndarray, slice, np.ndarray]]:
     """Yield places in ``members``, a slice of the times, and the states there.
 
-    - series: Of the columns of the basis, shape (degree + 1, m).
-    - origin, end: Time from which edges are counted, and the end of the span.
     - members: Numbers of members, shape (n,). Those without windows are left out.
     - times: Shape (K,).
     - yields places: Shape (g,).
     - yields states: Shape (g, k, dim); nan after the time that a member reached.
     """
+    origin, end = family.origin, family.span[1]
     there = np.flatnonzero(table.counts[members] > 0)
     order = there[np.argsort(members[there], kind="stable")]
     most = max(1, _STATES // min(len(times), _TIMES))
@@ -48,7 +45,7 @@ def states_in_groups(
         counts = table.counts[group]
         reached = origin + packed.edges[edge + counts]
         backwards = bool(packed.edges[0] > packed.edges[1])
-        paths = paths_of(edge, window, counts, packed[:3], series)
+        paths = paths_of(edge, window, counts, packed[:3], family.series)
         for start in range(0, len(times), _TIMES):
             part = slice(start, min(start + _TIMES, len(times)))
             t = times[part]

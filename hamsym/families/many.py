@@ -29,8 +29,7 @@ from hamsym.parallel.threads import Threads
 from hamsym.problems.conservation import InvariantLike, KnownInvariants
 from hamsym.problems.ensemble import Ensemble, ensemble_of
 from hamsym.problems.problem import checked_span
-from hamsym.random_features.members import Batch
-from hamsym.random_features.method import basis_for, checked_accuracy
+from hamsym.random_features.members import Batch, basis_for, checked_accuracy
 from hamsym.solution.solution import Solution
 from hamsym.support.machine import memory_size
 from hamsym.support.progress import stepping_progress
@@ -138,8 +137,8 @@ def solve_many(
     require_whole("seed", seed, 0)
     accuracy = checked_accuracy(tol, atol, max_window, times, members.H.dim)
     basis = basis_for(int(seed), accuracy.tol)
-    absolute = tuple(accuracy.absolute.tolist())
-    asked = accuracy.tol, absolute, max_window
+    longest = None if max_window is None else float(max_window)
+    asked = accuracy.tol, tuple(accuracy.absolute.tolist()), longest
     family = Family(members.H, times, *asked, int(seed), members.varied, basis.series)
     if client is not None:
         require_client(client)

@@ -16,7 +16,7 @@ import numpy as np
 
 from hamsym.errors import FileError
 from hamsym.families.blocks import Block
-from hamsym.families.windows import MARCHED, Rows, Table, Windows
+from hamsym.families.windows import Rows, Table, Windows
 from hamsym.support.records import MALFORMED, packed, unpacked
 from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
 
@@ -38,12 +38,10 @@ class Part(NamedTuple):
 
 def part_of(block: Block) -> Part:
     """Return the name and the rows of a part from the table of its members."""
-    table = block.table
-    edges = int((table.counts + 1)[table.counts > 0].sum())
-    windows, marched = int(table.counts.sum()), int(table.counts[table.status == MARCHED].sum())
+    rows = tuple(int(before[-1]) for before in block.table.first_rows)
     content = hashlib.sha256(block.members.astype("<i8").tobytes()).hexdigest()
     name = f"{int(block.members[0]):012d}-{content[:16]}"
-    return Part(name, (edges, edges, windows, marched, marched))
+    return Part(name, rows)
 
 
 def write_part(path: Path, block: Block) -> None:

@@ -18,29 +18,24 @@ from hamsym.families.proofs import Proofs, prove_members
 from hamsym.families.windows import ACCEPTED, MARCHED, OPEN, Table, Windows
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.problems.description import attributes_of
-from hamsym.problems.observed import observed, observed_variable
+from hamsym.problems.ensemble import Ensemble
+from hamsym.problems.observed import dataset_of_states, observed
 from hamsym.random_features.basis import basis_of_series, size_of
 from hamsym.random_features.error_estimate import RESOLUTIONS, MarchError, estimate_error
 from hamsym.random_features.features import Features
 from hamsym.random_features.flow import flow_of
 from hamsym.random_features.march import origin_of
-from hamsym.random_features.members import MemberSolver, march_of
-from hamsym.random_features.method import (
-    Accuracy,
-    accepted_march,
-    basis_for,
-    checked_accuracy,
-    met_message,
-)
-from hamsym.random_features.trial import FeatureTrial
+from hamsym.random_features.members import Accuracy, MemberSolver, basis_for, checked_accuracy
+from hamsym.random_features.method import met_message, solution_of, state_of
 from hamsym.random_features.windows import March
+from hamsym.solution.acceptance import accepted
 from hamsym.solution.settings import Settings
 from hamsym.solution.solution import Solution
 from hamsym.solution.times import times_in_span
 from hamsym.support.records import unpacked
 from hamsym.support.shown import Drawn, Saved
 from hamsym.support.suggestions import suggest_attributes
-from hamsym.support.tables import data_frame, data_set, member_axes, time_name
+from hamsym.support.tables import ensemble_frame, member_axes, time_name
 
 if TYPE_CHECKING:  # optional packages
     import pandas
@@ -55,8 +50,8 @@ class Family:
     H: Hamiltonian
     span: tuple[float, float]
     tol: float
-    #: Absolute tolerance, one or one for each component.
-    atol: float | tuple[float, ...]
+    #: Absolute tolerance of each component.
+    atol: tuple[float, ...]
     max_window: float | None
     seed: int
     #: Parameters that were given as arguments.
@@ -76,9 +71,8 @@ class Family:
     @cached_property
     def settings(self) -> Settings:
         """What is asked of each member."""
-        accuracy, method = self.accuracy, Features(max_window=self.max_window)
-        atol = tuple(accuracy.absolute.tolist())
-        return Settings(self.span, accuracy.tol, atol=atol, seed=self.seed, options=method.given)
+        options = Features(max_window=self.max_window).given
+        return Settings(self.span, self.tol, atol=self.atol, seed=self.seed, options=options)
 
     @property
     def origin(self) -> float:
@@ -95,18 +89,8 @@ class Family:
         """The solver of batches; None where it does not apply."""
         if not MemberSolver.applies(self.H):
             return None
-        found = self.accuracy
-        basis = basis_for(self.seed, found.tol)
-        return MemberSolver(
-            self.H, self.span, found.tol, found.local, found.absolute, found.longest, basis
-        )
-
-    def hamiltonian(self, parameters: np.ndarray) -> Hamiltonian:
-        """Return H with the parameters of a member, shape (k,)."""
-        if not self.varied:
-            return self.H
-        values = dict(zip(self.H.parameter_names, parameters.tolist(), strict=True))
-        return self.H.with_parameters(**values)
+        basis = basis_for(self.seed, self.accuracy.tol)
+        return MemberSolver(self.H, self.span, self.accuracy, basis)
 
 
 @suggest_attributes
@@ -205,16 +189,20 @@ class Solutions(Drawn, Saved):
     def z0(self) -> np.ndarray:
         return self.table.z0[self.members]
 
+    @property
+    def _starts(self) -> Ensemble:
+        """Starts and parameters of all members of the run."""
+        table = self.table
+        return Ensemble(self.H, table.z0, table.parameters, table.status.shape, self.family.varied)
+
     @cached_property
     def parameters(self) -> Mapping[str, np.ndarray]:
-        names = self.H.parameter_names
-        columns = {name: self.table.parameters[:, names.index(name)] for name in self.family.varied}
-        return {name: column[self.members] for name, column in columns.items()}
+        return {name: column[self.members] for name, column in self._starts.columns.items()}
 
     @property
     def own_parameters(self) -> np.ndarray | None:
         """Parameters in the order of H, shape (..., k); None where all members have those of H."""
-        return self.table.parameters[self.members] if self.family.varied else None
+        return self._starts.own_parameters(self.members)
 
     @cached_property
     def success(self) -> np.ndarray:
@@ -267,21 +255,12 @@ class Solutions(Drawn, Saved):
         if not table.counts[member]:
             raise InputError(self._message(member))
         z0 = table.z0[member].copy()
-        H = family.hamiltonian(table.parameters[member])
+        H = self._starts.hamiltonian(member)
         if table.status[member] == MARCHED:
-            march, error, trial = self.marched(member)
-            return Solution(
-                H,
-                z0,
-                (self.span[0], march.reached),
-                trial,
-                method="features",
-                record=march,
-                settings=family.settings,
-                error=error,
-                success=bool(table.success[member]),
-                message=self._message(member),
-            )
+            march, error = self.marched(member)
+            given = march, family.series, error, family.settings
+            success, message = bool(table.success[member]), self._message(member)
+            return solution_of(H, z0, *given, success=success, message=message)
         return self._accepted(member, H, z0)
 
     def _accepted(self, member: int, H: Hamiltonian, z0: np.ndarray) -> Solution:
@@ -297,24 +276,27 @@ class Solutions(Drawn, Saved):
                 for name in ("edges", "states", "readouts")
             ):
                 error = found.error
-        seconds = time.perf_counter() - wall, time.thread_time() - cpu
-        march = march_of(
-            (own.edges.copy(), own.states.copy(), own.readouts.copy()),
-            table.sizes[member].copy(),
-            int(table.evaluations[member]),
-            family.seed,
-            family.origin,
-            seconds,
+        march = March(
+            edges=own.edges.copy(),
+            states=own.states.copy(),
+            readouts=own.readouts.copy(),
+            reached=family.origin + float(own.edges[-1]),
+            scale=table.sizes[member].copy(),
+            evaluations=int(table.evaluations[member]),
+            seconds=time.perf_counter() - wall,
+            cpu_seconds=time.thread_time() - cpu,
+            seed=family.seed,
+            origin=family.origin,
         )
         if error is None:  # the windows are from a machine that rounds differently
             basis = basis_of_series(family.seed, family.series)
-            flow = flow_of(H)
-            error = estimate_error(march, basis, flow, accuracy.local).error
+            error = estimate_error(march, basis, flow_of(H), accuracy.local).error
         cause = "the error was estimated again, with the rounding of this machine"
-        return accepted_march(H, z0, march, basis, error, family.settings, cause)
+        again = solution_of(H, z0, march, basis.series, error, family.settings)
+        return accepted(again, state_of(len(march.readouts)), cause=cause)
 
-    def marched(self, member: int) -> tuple[March, MarchError, FeatureTrial]:
-        """Return march, error and trial solution of a member that was solved by itself."""
+    def marched(self, member: int) -> tuple[March, MarchError]:
+        """Return march and error of a member that was solved by itself."""
         table = self.table
         own, note = table.packed(self.windows, member, member + 1), table.notes[member]
         arrays = {name: getattr(own, name).copy() for name in ("edges", "states", "readouts")}
@@ -327,10 +309,7 @@ class Solutions(Drawn, Saved):
             np.array(note.scale),
             np.array(march.origin),
         )
-        trial = FeatureTrial(
-            march.edges, march.states, march.readouts, self.family.series, error.origin
-        )
-        return march, error, trial
+        return march, error
 
     # -- evaluation --------------------------------------------------------------------------
 
@@ -370,17 +349,13 @@ class Solutions(Drawn, Saved):
         flat, system = np.atleast_1d(times), self.H.compile("numpy")
         found, members = np.full((self.size, len(flat)), np.nan), self.members.ravel()
         for places, part, states in self._groups(flat):
-            values = self.table.parameters[members[places], None] if self.family.varied else None
-            with np.errstate(all="ignore"):  # of states that are nan
-                arguments = system.arguments(states, flat[part])
-                found[places, part] = system.energy(*arguments, **system.keywords(values))
+            values = self._starts.own_parameters((members[places], None))
+            found[places, part] = system.at("energy", states, flat[part], values)
         return found.reshape(*self.shape, *times.shape)
 
     def _groups(self, times: np.ndarray) -> Iterator[tuple[np.ndarray, slice, np.ndarray]]:
-        family, members = self.family, self.members.ravel()
-        return states_in_groups(
-            self.table, self.windows, family.series, family.origin, self.span[1], members, times
-        )
+        members = self.members.ravel()
+        return states_in_groups(self.family, self.table, self.windows, members, times)
 
     # -- proofs ------------------------------------------------------------------------------
 
@@ -432,28 +407,16 @@ class Solutions(Drawn, Saved):
         axes = member_axes(self.shape)
         times = np.atleast_1d(times_in_span(t, self.span))
         states = self(times)
-        value, quantity = observed_variable(
-            names,
-            [*axes, "time"],
-            lambda names: observed(self.H, names, states, times, self.own_parameters),
-        )
-        return data_set(
-            {
-                "state": ([*axes, "time", "component"], states),
-                "success": (axes, self.success),
-                "message": (axes, self.message),
-                "largest_error": ([*axes, "component"], self.largest_error),
-                "z0": ([*axes, "component"], self.z0),
-                **value,
-            },
-            {
-                **quantity,
-                "time": times,
-                "component": list(self.H.names),
-                **{name: (axes, values) for name, values in self.parameters.items()},
-            },
-            self._attributes,
-        )
+        columns = observed(self.H, names, states, times, self.own_parameters) if names else {}
+        variables = {
+            "success": (axes, self.success),
+            "message": (axes, self.message),
+            "largest_error": ([*axes, "component"], self.largest_error),
+            "z0": ([*axes, "component"], self.z0),
+        }
+        varied = {name: (axes, values) for name, values in self.parameters.items()}
+        given = states, columns, variables, varied, self._attributes
+        return dataset_of_states(self.H, axes, times, *given)
 
     @property
     def _attributes(self) -> dict[str, Any]:
@@ -486,12 +449,6 @@ class Solutions(Drawn, Saved):
         [1.0, 2.0]
         """
         times = np.atleast_1d(times_in_span(t, self.span))
-        places = np.indices((*self.shape, len(times))).reshape(self.ndim + 1, -1)
-        index = dict(zip(member_axes(self.shape), places[:-1], strict=True))
-        index[time_name(self.H.names)] = times[places[-1]]
         found = observed(self.H, names, self(times), times, self.own_parameters)
-        columns = {name: values.ravel() for name, values in found.items()}
-        columns |= {
-            name: np.repeat(own.ravel(), len(times)) for name, own in self.parameters.items()
-        }
-        return data_frame(columns, index, self._attributes)
+        index = {time_name(self.H.names): times}
+        return ensemble_frame(self.shape, index, found, self.parameters, self._attributes)

@@ -31,6 +31,7 @@ from hamsym.problems.description import described, require_formula
 from hamsym.problems.ensemble import Ensemble
 from hamsym.problems.problem import checked_span
 from hamsym.random_features.basis import DEGREE
+from hamsym.random_features.trial import FeatureTrial
 from hamsym.support.atomic import create_atomically
 from hamsym.support.locking import exclusive
 from hamsym.support.record_fields import Count, Limit, convert, counts, floats
@@ -60,19 +61,10 @@ class Contents:
     @classmethod
     def of(cls, solutions: Solutions, **windows: Any) -> Any:
         """Make them from solutions, with windows or what stands for them."""
-        family, found = solutions.family, solutions.family.accuracy
-        longest = family.max_window
+        family = solutions.family
         return cls(
-            H=family.H,
-            span=family.span,
-            tol=float(found.tol),
-            atol=tuple(found.absolute.tolist()),
-            max_window=None if longest is None else float(longest),
-            seed=family.seed,
-            varied=family.varied,
-            shape=solutions.shape,
-            table=solutions.table,
-            basis=family.series,
+            *(family.H, family.span, family.tol, family.atol, family.max_window),
+            *(family.seed, family.varied, solutions.shape, solutions.table, family.series),
             **windows,
         )
 
@@ -242,12 +234,11 @@ class WindowStore:
 
 def _request(family: Family, members: Ensemble) -> str:
     """Compute SHA-256 of all that determines the solutions."""
-    found, longest = family.accuracy, family.max_window
     values = {
         "version": hamsym.__version__,
         "H": described(family.H),
         "span": [float(time).hex() for time in family.span],
-        "options": [float(found.tol), found.absolute.tolist(), longest],
+        "options": [family.tol, list(family.atol), family.max_window],
         "seed": family.seed,
         "varied": list(family.varied),
         "shape": list(members.shape),
@@ -277,7 +268,7 @@ def open_store(path: str | os.PathLike[str]) -> Solutions:
         parts = [Part(*part) for part in contents.parts]
         windows = windows_of(place, parts, _row_shapes(contents.family))
         solutions = contents.solutions(windows, contents.order)
-        if [len(rows) for rows in windows] != list(_row_counts(solutions.table)):
+        if [len(rows) for rows in windows] != [n[-1] for n in solutions.table.first_rows]:
             raise ValueError("windows are missing")
     except FileError:
         raise
@@ -313,21 +304,13 @@ def _row_shapes(family: Family) -> dict[str, tuple[int, ...]]:
     }
 
 
-def _row_counts(table: Table) -> tuple[int, ...]:
-    """Return the number of rows of each array of :class:`Windows`."""
-    edges, windows, errors = (
-        int(first[-1]) for first in (table.first_edge, table.first_window, table.first_error)
-    )
-    return edges, edges, windows, errors, errors
-
-
 def _require_windows(solutions: Solutions, packed: Packed) -> None:
     """Raise ValueError unless the windows are those of the members."""
     family, table = solutions.family, solutions.table
     rows = _row_shapes(family).items()
-    for (name, row), count, array in zip(rows, _row_counts(table), packed, strict=True):
-        if array.shape != (count, *row):
-            raise ValueError(f"'{name}' has shape {array.shape}, not {(count, *row)}")
+    for (name, row), before, array in zip(rows, table.first_rows, packed, strict=True):
+        if array.shape != (int(before[-1]), *row):
+            raise ValueError(f"'{name}' has shape {array.shape}, not {(int(before[-1]), *row)}")
     solved = table.counts > 0
     first, last = table.first_edge[:-1][solved], table.first_edge[1:][solved] - 1
     start, end = family.span
@@ -345,7 +328,8 @@ def _require_windows(solutions: Solutions, packed: Packed) -> None:
     if packed.states[first].tobytes() != table.z0[solved].tobytes():
         raise ValueError("a member does not start at its z0")
     for member in np.flatnonzero(table.status == MARCHED).tolist():
-        march, error, trial = solutions.marched(member)
+        march, error = solutions.marched(member)
+        trial = FeatureTrial.of_march(march, family.series)
         success = bool(table.success[member])
         if march.origin != family.origin:
             raise ValueError("the times of a member have another origin")

@@ -205,14 +205,16 @@ class Table:
 
     def packed(self, windows: Windows, first: int, last: int) -> Packed:
         """Return the windows of members from ``first`` to below ``last``."""
-        edges, places, errors = (
-            (int(places[first]), int(places[last]))
-            for places in (self.first_edge, self.first_window, self.first_error)
-        )
+        places = self.first_rows
         return Packed(
-            windows.edges.rows(*edges),
-            windows.states.rows(*edges),
-            windows.readouts.rows(*places),
-            windows.error.rows(*errors),
-            windows.floors.rows(*errors),
+            *(
+                rows.rows(int(before[first]), int(before[last]))
+                for rows, before in zip(windows, places, strict=True)
+            )
         )
+
+    @property
+    def first_rows(self) -> tuple[np.ndarray, ...]:
+        """Rows of each array of :class:`Windows` before each member, and of all, (n + 1,) each."""
+        edges, windows, errors = self.first_edge, self.first_window, self.first_error
+        return edges, edges, windows, errors, errors

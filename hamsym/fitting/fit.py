@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hamsym.errors import InputError
-from hamsym.families.many import solve_many
 from hamsym.fitting.fitted import Fit, Minimum
 from hamsym.fitting.motions import LiftedMotions, MappedMotions, Motions, SolvedMotions
 from hamsym.fitting.observations import checked_observations, checked_times
@@ -175,15 +174,7 @@ def fit(
         # The verdict rests on one solution and its sensitivity, however the minimum was found.
         motion, found = solved.solution(found.unknowns[0]), model.again(found, solved)
     elif flow is None:
-        values = unknowns.parameters(found.unknowns)
-        motion = solve_many(
-            unknowns.H,
-            unknowns.starts(found.unknowns),
-            times,
-            tol=tol,
-            parameters=values,
-            progress=False,
-        )
+        motion = solved.solutions(found.unknowns)
     verdicts = judged(model, found, uncertainty, motion)
     return _result(model, found, uncertainty, verdicts, confidence, flow, motion, began)
 

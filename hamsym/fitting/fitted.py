@@ -33,6 +33,7 @@ from hamsym.support.record_fields import (
 from hamsym.support.shown import Saved
 from hamsym.support.suggestions import suggest_attributes
 from hamsym.support.tables import data_frame
+from hamsym.support.validation import outside_span
 
 if TYPE_CHECKING:
     import pandas
@@ -171,9 +172,7 @@ class Fit(Saved):
         for labels in (self.data, self.sigma, self.residuals):
             if [*labels] != [*self.expressions]:
                 raise ValueError("its observables differ")
-        low, high = min(self.span), max(self.span)
-        slack = 1e-15 * max(abs(low), abs(high))
-        if not ((self.t >= low - slack) & (self.t <= high + slack)).all():
+        if outside_span(self.t, self.span, 1e-15).any():
             raise ValueError("its times are not within its span")
         if self.unknowns.H.names != self.H.names:
             raise ValueError("its unknowns are those of another system")
@@ -237,7 +236,7 @@ class Fit(Saved):
             states = MappedMotions(self.flow, self.unknowns, flat).states(values)
         else:
             raise InputError("this fit has no motion; see its message")
-        rows = np.array(list(self.unknowns.parameters(values).values())).T[:, None]
+        rows = self.unknowns.parameter_rows(values)[:, None]
         shape = (*np.shape(self.success), *times.shape)
         found = {}
         for label, function in self._functions.items():

@@ -7,6 +7,7 @@ derivatives in one call of :func:`hamsym.solve_many`; :class:`MappedMotions` eva
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -17,6 +18,7 @@ import sympy
 
 from hamsym.errors import HamsymError, InputError
 from hamsym.families.many import solve_many
+from hamsym.families.solutions import Solutions
 from hamsym.fitting.unknowns import Unknowns
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.random_features.members import MemberSolver
@@ -74,28 +76,41 @@ class SolvedMotions:
         H, start = self.unknowns.hamiltonian(values), self.unknowns.starts(values[None])[0]
         return solve(H, start, self.span, tol=self.tol)
 
+    def solutions(self, values: np.ndarray) -> Solutions:
+        """Return the solutions with values of shape (n, k), solved together."""
+        return solve_many(
+            self.unknowns.H,
+            self.unknowns.starts(values),
+            self.span,
+            tol=self.tol,
+            parameters=self.unknowns.parameters(values),
+            progress=False,
+        )
+
     def __call__(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        shape = (len(values), len(self.t), self.unknowns.H.dim)
-        states, slopes = np.full(shape, np.nan), np.full((*shape, values.shape[1]), np.nan)
-        for row, here in enumerate(values):
-            if _is_too_fast(self.unknowns, here[None], self.span)[0]:
-                continue
-            try:
-                states[row], slopes[row] = self._motion(here)
-            except HamsymError:
-                continue
+        states, slopes = self._unknown(values)
+        for row in self._slow(values):
+            with contextlib.suppress(HamsymError):
+                states[row], slopes[row] = self._motion(values[row])
         return states, slopes
 
     def states(self, values: np.ndarray) -> np.ndarray:
-        states = np.full((len(values), len(self.t), self.unknowns.H.dim), np.nan)
-        for row in np.flatnonzero(~_is_too_fast(self.unknowns, values, self.span)):
-            try:
+        states, _ = self._unknown(values)
+        for row in self._slow(values):
+            with contextlib.suppress(HamsymError):
                 solution = self._solved(values[row])
-            except HamsymError:
-                continue
-            if solution.span[1] == self.span[1]:
-                states[row] = solution(self.t)
+                if solution.span[1] == self.span[1]:
+                    states[row] = solution(self.t)
         return states
+
+    def _unknown(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return states and derivatives of rows without a motion."""
+        shape = (len(values), len(self.t), self.unknowns.H.dim)
+        return np.full(shape, np.nan), np.full((*shape, values.shape[1]), np.nan)
+
+    def _slow(self, values: np.ndarray) -> np.ndarray:
+        """Return the rows with motions that are not too fast."""
+        return np.flatnonzero(~_is_too_fast(self.unknowns, values, self.span))
 
     def _motion(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         unknowns, solution = self.unknowns, self.solution(values)
@@ -132,9 +147,7 @@ def _is_too_fast(unknowns: Unknowns, values: np.ndarray, span: tuple[float, floa
 
 def rates(unknowns: Unknowns, values: np.ndarray, start: float) -> np.ndarray:
     """Return the largest sizes of the eigenvalues of J Hess at starts, nan without one, (n,)."""
-    system = unknowns.H.compile("numpy")
-    columns = unknowns.parameters(values)
-    rows = np.array([columns[name] for name in unknowns.H.parameter_names]).T if columns else None
+    system, rows = unknowns.H.compile("numpy"), unknowns.parameter_rows(values)
     times = np.full(len(values), start)
     matrices = system.at("jacobian", unknowns.starts(values), times, rows)
     shape = (len(values), unknowns.H.dim, unknowns.H.dim)
@@ -145,7 +158,8 @@ def rates(unknowns: Unknowns, values: np.ndarray, start: float) -> np.ndarray:
     return found
 
 
-class LiftedMotions:
+@dataclass
+class LiftedMotions(SolvedMotions):
     """Motions of the tangent lift, in which derivatives in one direction are further components.
 
     With a direction (dz, dk) the Hamiltonian K = dz . grad H + dk . dH/dk, with pairs (q, dp) and
@@ -153,10 +167,8 @@ class LiftedMotions:
     are members of one ensemble. Forces F of H act on p, and their changes dF on dp.
     """
 
-    def __init__(
-        self, unknowns: Unknowns, t: np.ndarray, span: tuple[float, float], tol: float
-    ) -> None:
-        self._unknowns, self._t, self._span, self._tol = unknowns, t, span, tol
+    def __post_init__(self) -> None:
+        unknowns = self.unknowns
         lifted = _lift(unknowns.H, unknowns.free_parameters)
         assert lifted is not None
         self._lifted, self._rates = lifted
@@ -173,16 +185,15 @@ class LiftedMotions:
         return _lift(unknowns.H, unknowns.free_parameters) is not None
 
     def __call__(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        shape = (len(values), len(self._t), self._unknowns.H.dim)
-        states, slopes = np.full(shape, np.nan), np.full((*shape, values.shape[1]), np.nan)
-        slow = np.flatnonzero(~_is_too_fast(self._unknowns, values, self._span))
+        states, slopes = self._unknown(values)
+        slow = self._slow(values)
         for k in range(0, len(slow), _ROWS):
             rows = slow[k : k + _ROWS]
             states[rows], slopes[rows] = self._part(values[rows])
         return states, slopes
 
     def _part(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        unknowns, dim, dof = self._unknowns, self._unknowns.H.dim, self._unknowns.H.dof
+        unknowns, dim, dof = self.unknowns, self.unknowns.H.dim, self.unknowns.H.dof
         places, free = unknowns.components, unknowns.free_parameters
         columns = [j for j in range(values.shape[1]) if j not in places]
         shape = (len(values), len(self._directions) + len(free))
@@ -204,14 +215,14 @@ class LiftedMotions:
                 given[self._rates[name]] = rate
             given = {n: v for n, v in given.items() if n in self._lifted.parameter_names}
             many = solve_many(
-                self._lifted, starts, self._span, tol=self._tol, parameters=given, progress=False
+                self._lifted, starts, self.span, tol=self.tol, parameters=given, progress=False
             )
-            found = many(self._t)
+            found = many(self.t)
             moved = found[..., deviation]
             responses = moved[:, len(self._directions) :] - moved[:, :1]
             if not self._resized(responses, moved[:, :1]):
                 break
-        slopes = np.empty((len(values), len(self._t), dim, values.shape[1]))
+        slopes = np.empty((len(values), len(self.t), dim, values.shape[1]))
         for member, j in enumerate(sorted(places)):
             slopes[..., j] = moved[:, member]
         for place, (j, name) in enumerate(zip(columns, free, strict=True)):
@@ -219,19 +230,9 @@ class LiftedMotions:
         return found[:, 0][..., own], slopes
 
     def states(self, values: np.ndarray) -> np.ndarray:
-        unknowns = self._unknowns
-        states = np.full((len(values), len(self._t), unknowns.H.dim), np.nan)
-        rows = np.flatnonzero(~_is_too_fast(unknowns, values, self._span))
+        (states, _), rows = self._unknown(values), self._slow(values)
         if len(rows):
-            many = solve_many(
-                unknowns.H,
-                unknowns.starts(values[rows]),
-                self._span,
-                tol=self._tol,
-                parameters=unknowns.parameters(values[rows]),
-                progress=False,
-            )
-            states[rows] = many(self._t)
+            states[rows] = self.solutions(values[rows])(self.t)
         return states
 
     def _resized(self, responses: np.ndarray, reference: np.ndarray) -> bool:
@@ -246,9 +247,6 @@ class LiftedMotions:
                     self._sizes[name] /= ratio
                     changed = True
         return changed
-
-    def reason(self, values: np.ndarray) -> str:
-        return SolvedMotions(self._unknowns, self._t, self._span, self._tol).reason(values)
 
 
 def _lift(H: Hamiltonian, free: tuple[str, ...]) -> tuple[Hamiltonian, Mapping[str, str]] | None:

@@ -10,10 +10,9 @@ import numpy as np
 import sympy
 
 from hamsym.codegen.functions import compile_expressions
-from hamsym.codegen.names import Names
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.support.validation import checked_numbers, shown
+from hamsym.support.validation import checked_numbers, outside_span, shown
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.brackets import phase_function
 from hamsym.symbolic.variables import TIME
@@ -38,29 +37,20 @@ class Observables:
             for expression in expressions.values()
             for slope in derivatives.gradient(expression, variables)
         ]
-        every = [*expressions.values(), *slopes]
-        self._function = compile_expressions(every, equations)
-        used = {symbol.name for expression in every for symbol in expression.free_symbols}
-        keywords = [keyword for keyword, _ in Names(equations).parameters]
-        self._keywords = {
-            name: keyword
-            for name, keyword in zip(H.parameter_names, keywords, strict=True)
-            if name in used
-        }
+        self._function = compile_expressions([*expressions.values(), *slopes], equations)
         self._dim, self._columns = H.dim, len(variables)
 
     def __call__(
-        self, states: np.ndarray, t: np.ndarray, parameters: Mapping[str, np.ndarray]
+        self, states: np.ndarray, t: np.ndarray, parameters: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Evaluate at states (n, times, dim) with parameters (n,).
+        """Evaluate at states (n, times, dim) with the parameters of H, shape (n, k).
 
         - returns values: Shape (n, observables, times).
         - returns in_state, in_parameters: Derivatives, shapes (n, observables, times, dim) and (n,
           observables, times, k).
         """
-        of = {keyword: parameters[name][:, None] for name, keyword in self._keywords.items()}
         with np.errstate(all="ignore"):
-            found = np.moveaxis(self._function(states, t, **of), -1, 1)
+            found = np.moveaxis(self._function(states, t, parameters[:, None]), -1, 1)
         count = len(self.labels)
         slopes = found[:, count:].reshape(len(states), count, self._columns, -1)
         slopes = np.moveaxis(slopes, 2, 3)
@@ -108,8 +98,7 @@ def checked_times(t: Any, span: tuple[float, float]) -> np.ndarray:
     if not np.isfinite(times).all():
         raise InputError(f"t[{np.argmin(np.isfinite(times))}] is not finite; give finite times")
     low, high = min(span), max(span)
-    slack = 4e-16 * max(abs(low), abs(high))
-    outside = (times < low - slack) | (times > high + slack)
+    outside = outside_span(times, span)
     if outside.any():
         raise InputError(
             f"t[{np.argmax(outside)}] = {times[outside][0]:.16g} is outside the span from "

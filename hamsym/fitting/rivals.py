@@ -189,7 +189,7 @@ def _powers(model: Model, found: Found, motion: Motion, k: int) -> np.ndarray | 
     """Return the powers of the speed that free quantities follow, None if there are none."""
     unknowns, x, t = model.unknowns, found.unknowns[k], model.observed.t
     sigma, present = model.observed.sigma[k], model.observed.present[k]
-    parameters = unknowns.parameters(x[None])
+    parameters = unknowns.parameter_rows(x[None])
 
     def observed(speed: float) -> np.ndarray:
         times = model.span[0] + speed * (t - model.span[0])

@@ -19,18 +19,12 @@ _BATCH = 4_000_000  # numbers in the derivatives of states that are computed tog
 
 
 @dataclass(frozen=True)
-class Found:
-    """The best minimum of each set."""
+class Found(Minima):
+    """The best minimum of each set, a row each.
 
-    #: unknowns, residuals, jacobian: Shapes (sets, k), (sets, m), (sets, m, k), with m =
-    #: observables times; (model - data)/sigma, zero where data are missing.
-    unknowns: np.ndarray
-    residuals: np.ndarray
-    jacobian: np.ndarray
-    #: Shape (sets,).
-    converged: np.ndarray
-    #: Shape (sets,).
-    iterations: np.ndarray
+    Residuals are (model - data)/sigma, zero where data are missing, of observables times.
+    """
+
     #: reached, refined: Number of starts that reached it, shape (sets,), and of those that were
     #: refined.
     reached: np.ndarray
@@ -76,14 +70,20 @@ class Model:
         """Return (model - data)/sigma of some sets and its derivatives, zero without data."""
         present, sigma = self.observed.present[sets], self.observed.sigma[sets]
         with np.errstate(all="ignore"):
-            residuals = np.where(present, (found - self.observed.data[sets]) / sigma, 0.0)
             slopes = np.where(present[..., None], slopes / sigma[..., None], 0.0)
+        residuals = self._from_data(found, sets)
         return residuals.reshape(len(sets), -1), slopes.reshape(len(sets), -1, slopes.shape[-1])
+
+    def _from_data(self, found: np.ndarray, sets: np.ndarray) -> np.ndarray:
+        """Return (model - data)/sigma of some sets, zero without data."""
+        present, sigma = self.observed.present[sets], self.observed.sigma[sets]
+        with np.errstate(all="ignore"):
+            return np.where(present, (found - self.observed.data[sets]) / sigma, 0.0)
 
     def _observed(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return observables (n, observables, times) and derivatives in the free quantities."""
         states, motion = self.motions(values)
-        parameters = self.unknowns.parameters(values)
+        parameters = self.unknowns.parameter_rows(values)
         found, in_state, explicit = self.observables(states, self.observed.t, parameters)
         with np.errstate(all="ignore"):
             slopes = np.einsum("noti,ntik->notk", in_state, motion)
@@ -93,12 +93,10 @@ class Model:
 
     def squares(self, values: np.ndarray, sets: np.ndarray) -> np.ndarray:
         """Return chi-square for values (n, k) and their sets, nan without a motion, shape (n,)."""
-        parameters = self.unknowns.parameters(values)
+        parameters = self.unknowns.parameter_rows(values)
         found, _, _ = self.observables(self.motions.states(values), self.observed.t, parameters)
-        present, sigma = self.observed.present[sets], self.observed.sigma[sets]
         with np.errstate(all="ignore"):
-            residuals = np.where(present, (found - self.observed.data[sets]) / sigma, 0.0)
-            return np.asarray((residuals**2).sum(axis=(1, 2)))
+            return np.asarray((self._from_data(found, sets) ** 2).sum(axis=(1, 2)))
 
     def prospects(self, values: np.ndarray) -> np.ndarray:
         """Return the least chi-square of the linear model at values (n, k), shape (sets, n).

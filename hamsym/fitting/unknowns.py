@@ -71,6 +71,12 @@ class Unknowns:
                 found[name] = values[:, j].copy()
         return found
 
+    def parameter_rows(self, values: np.ndarray) -> np.ndarray:
+        """Return all parameters of H in their order for values (n, k), shape (n, parameters)."""
+        columns = self.parameters(values)
+        rows = [columns[name] for name in self.H.parameter_names]
+        return np.array(rows).T if rows else np.empty((len(values), 0))
+
     def hamiltonian(self, values: np.ndarray) -> Hamiltonian:
         """Return H with the values of one row, shape (k,)."""
         row = self.parameters(values[None])

@@ -145,7 +145,7 @@ def _errors(
 ) -> np.ndarray:
     """Return the largest estimated error of an observable in units of sigma, shape (sets,)."""
     unknowns, observed = model.unknowns, model.observed
-    parameters = unknowns.parameters(found.unknowns)
+    parameters = unknowns.parameter_rows(found.unknowns)
     shape = (len(found.unknowns), len(observed.t), unknowns.H.dim)
     if isinstance(motion, Solution):
         if motion.span[1] != model.span[1]:

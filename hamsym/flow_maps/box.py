@@ -24,6 +24,7 @@ from hamsym.support.suggestions import did_you_mean, unknown
 from hamsym.support.validation import checked_mapping, checked_numbers
 from hamsym.symbolic.checks import name_of
 from hamsym.symbolic.equations import Equations
+from hamsym.symbolic.states import by_component
 
 _SLACK = 1e-12  # of the width of an interval, by which round-off may leave it
 
@@ -79,10 +80,6 @@ class Box:
         if not {*map(canonical_name, self.parameters)} <= known:
             raise ValueError("its box varies what neither H nor an expression contains")
         self.states(self.at(np.zeros((1, len(self)))))  # raises for expressions of other symbols
-
-    def scaled(self, inputs: np.ndarray) -> np.ndarray:
-        """Return inputs, shape (..., d), scaled to [-1, 1]."""
-        return (2 * inputs - (self.low + self.high)) / (self.high - self.low)
 
     def at(self, y: np.ndarray) -> np.ndarray:
         """Return the inputs of scaled ones; within the box for y in [-1, 1]."""
@@ -305,27 +302,17 @@ def _names_in(expressions: Mapping[str, str]) -> set[str]:
 
 def _by_component(z0: Any, names: Sequence[str]) -> dict[str, Any]:
     """Return the entries of z0 by component, in the order of z."""
-    order = ", ".join(names)
-    if not isinstance(z0, Mapping):
-        try:
-            entries = list(z0)
-        except TypeError:
-            entries = []
-        if isinstance(z0, str) or len(entries) != len(names):
-            raise VariableError(
-                f"z0={z0!r} cannot be used; give an interval or a number for each of {order}"
-            )
-        return dict(zip(names, entries, strict=True))
-    given = {canonical_name(name_of(key)): value for key, value in z0.items()}
-    known = {canonical_name(name): name for name in names}
-    for key in given:
-        if key not in known:
-            hint = did_you_mean(key, names)
-            raise VariableError(f"'{key}' is not a component of z{hint}; z0 has {order}")
-    for key, name in known.items():
-        if key not in given:
-            raise VariableError(f"'{name}' is missing in z0; give all of {order}")
-    return {name: given[key] for key, name in known.items()}
+    if isinstance(z0, Mapping):
+        return by_component(z0, names)
+    try:
+        entries = list(z0)
+    except TypeError:
+        entries = []
+    if isinstance(z0, str) or len(entries) != len(names):
+        raise VariableError(
+            f"z0={z0!r} cannot be used; give an interval or a number for each of {', '.join(names)}"
+        )
+    return dict(zip(names, entries, strict=True))
 
 
 def _sort(

@@ -43,7 +43,7 @@ class Builder:
     """Construction of the expansion of one box over one span.
 
     - solve: (initial states, parameter values, span) -> Solutions.
-    - allowed, scale: Allowed error and size of each component, shape (dim,).
+    - scale: Size of each component, shape (dim,).
     - note: Takes a text about the progress, and the time that is reached.
     """
 
@@ -52,20 +52,20 @@ class Builder:
         box: Box,
         span: tuple[float, float],
         solve: Callable[..., Solutions],
-        allowed: np.ndarray,
         scale: np.ndarray,
         random: np.random.Generator,
         note: Callable[..., None],
     ) -> None:
         self._box, self._span, self._solve = box, span, solve
-        self._allowed, self._scale, self._random, self._note = allowed, scale, random, note
+        self._scale, self._random, self._note = scale, random, note
 
-    def build(self) -> Built:
-        """Return the expansion.
+    def build(self, allowed: np.ndarray) -> Built:
+        """Return an expansion with an allowed error of each component, shape (dim,).
 
         Raise InputError if a solution fails at the start of the span, or too many solutions would
         be needed.
         """
+        self._allowed = allowed
         try:
             return self._over(box_domain(self._box), self._span[0])
         except FailedError as error:

@@ -12,8 +12,6 @@ from hamsym.kernel.loops import Record, arrays, counts, library, require_memory
 from hamsym.numerics.lower_sets import MOST_DEGREE
 from hamsym.support.record_fields import Array, As, OneOf, check_also, declare, floats
 
-_CHUNK = 8_192  # queries at once
-
 
 class _Form(Record):
     """A piece in the library."""
@@ -26,7 +24,6 @@ class CompiledPiece(Piece):
 
     def __init__(self, degrees: np.ndarray, readouts: np.ndarray, columns: np.ndarray) -> None:
         super().__init__(degrees, readouts, columns)
-        self.chunk = _CHUNK
         parts, terms, dim = columns.shape
         self._form = _Form(
             count=degrees.shape[0],

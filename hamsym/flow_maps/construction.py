@@ -17,10 +17,10 @@ from hamsym.flow_maps.building import Builder, Built
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.flow_maps.judging import Judgement, judged
 from hamsym.hamiltonian import HamiltonianLike
-from hamsym.problems.problem import checked_atol, checked_span
+from hamsym.problems.problem import checked_atol, checked_span, checked_tol
 from hamsym.support.progress import share_progress
 from hamsym.support.suggestions import checked_keywords
-from hamsym.support.validation import require, require_whole
+from hamsym.support.validation import require_whole
 
 _STEPPED = 0.9  # share of the work that ends when the map reaches the last time
 _SMALLEST_TOL = 1e-11  # the solutions of which a map is made are exact to 1e-12
@@ -98,13 +98,7 @@ def flow_map(
     (5, 2)
     """
     box, times = checked_box(H, z0, parameters), checked_span(span)
-    number = isinstance(tol, (int, float, np.floating)) and not isinstance(tol, bool)
-    require(
-        number and _SMALLEST_TOL <= tol < 1,
-        "tol",
-        tol,
-        f"a number from {_SMALLEST_TOL:g} to below 1",
-    )
+    tol = checked_tol(tol, _SMALLEST_TOL)
     require_whole("points", points, 100)
     require_whole("seed", seed, 0)
     require_whole("max_solutions", max_solutions, 1)
@@ -118,8 +112,8 @@ def flow_map(
                 reached = _STEPPED * (t - times[0]) / (times[1] - times[0])
             report(reached, text)
 
-        construction = _Construction(box, times, float(tol), absolute, points, seed, note)
-        found = construction.expanded(max_solutions)
+        asked = tol, absolute, points, seed, max_solutions
+        found = _Construction(box, times, *asked, note).expanded()
         report(1.0)
     return found
 
@@ -135,71 +129,55 @@ class _Construction:
         absolute: np.ndarray,
         points: int,
         seed: int,
+        most: int,
         note: Callable[[str], None],
     ) -> None:
         self._box, self._span, self._tol, self._absolute = box, span, tol, absolute
         self._points, self._seed, self._note = points, seed, note
-        self._solved, self._most = 0, 0
+        self._solved, self._most = 0, most
         smallest = max(_SOLUTIONS * tol, _SMALLEST_SOLUTIONS)
         self._solution_tol = min(smallest, _LARGEST_SOLUTIONS)
         self._of_solutions = _SOLUTIONS * absolute
-        self._began = time.perf_counter()
         self._random = np.random.default_rng(seed)
 
-    def _sizes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return size and allowed error of each component."""
+    def _sizes(self) -> np.ndarray:
+        """Return the size of each component, from which the tolerance of solutions follows too."""
         y = self._random.uniform(-1, 1, (_PROBES, len(self._box)))
         inputs = self._box.at(y)
         probes = self._solve(self._box.states(inputs), self._box.values(inputs), self._span)
-        scale = probes.table.sizes.max(axis=0)
+        scale = np.asarray(probes.table.sizes.max(axis=0))
         # A component may be small for some members, and its tolerance is that of the box.
         self._of_solutions = self._of_solutions + self._solution_tol * scale
-        return scale, self._absolute + self._tol * scale
+        return scale
 
-    def expanded(self, most: int) -> FlowMap:
-        """Return a map by expansion of at most so many solutions."""
-        self._most = most
-        random, began = self._random, self._began
-        scale, allowed = self._sizes()
-        share = _SHARE
+    def expanded(self) -> FlowMap:
+        """Return a map by expansion of solutions."""
+        began, random, scale = time.perf_counter(), self._random, self._sizes()
+        allowed, share = self._absolute + self._tol * scale, _SHARE
+        builder = Builder(self._box, self._span, self._counted, scale, random, self._note)
         for attempt in range(_ATTEMPTS):
-            builder = Builder(
-                self._box, self._span, self._counted, share * allowed, scale, random, self._note
-            )
-            built = builder.build()
+            built = builder.build(share * allowed)
             seconds = time.perf_counter() - began
             self._note(f"{self._solved:,} solutions in {seconds:.3g} s; estimating the error")
-            judgement = self._judged(built, allowed, scale)
+            span = (self._span[0], built.reached)
+            judgement = judged(
+                *(built.map, self._box, span, built.edges, self._solve, allowed, scale, random),
+                self._points,
+            )
             excess = float((judgement.error / allowed).max())
             hopeless = judgement.failure or not math.isfinite(excess)
             if excess <= 1 or hopeless or attempt == _ATTEMPTS - 1:
                 break
             share *= _AIM / excess
             self._note(f"the error is {excess:.2g} of the tolerance; again with a smaller share")
-        return self._result(built, judgement, allowed, seconds)
-
-    def _judged(self, built: Built, allowed: np.ndarray, scale: np.ndarray) -> Judgement:
-        span = (self._span[0], built.reached)
-        return judged(
-            *(built.map, self._box, span, built.edges, self._solve, allowed, scale, self._random),
-            self._points,
-        )
-
-    def _result(
-        self, built: Built, judgement: Judgement, allowed: np.ndarray, seconds: float
-    ) -> FlowMap:
-        span = (self._span[0], built.reached)
-        excess = float((judgement.error / allowed).max())
         failure = built.failure or judgement.failure
-        success = not failure and excess <= 1 and span == self._span
-        message = self._message(built.failure, span, excess, judgement)
         return FlowMap(
             self._box,
             span,
             built.map,
             self._tol,
-            bool(success),
-            message,
+            bool(not failure and excess <= 1 and span == self._span),
+            self._message(built, excess, judgement),
             judgement.error,
             excess,
             judgement,
@@ -207,13 +185,11 @@ class _Construction:
             seconds,
         )
 
-    def _message(
-        self, failure: str, span: tuple[float, float], excess: float, judgement: Judgement
-    ) -> str:
+    def _message(self, built: Built, excess: float, judgement: Judgement) -> str:
         place = self._box.described(judgement.worst_inputs)
         worst = f"worst found at t = {judgement.worst_time:.6g}, {place}"
-        if failure:
-            return f"the map ends at t = {span[1]:.6g}: {failure}"
+        if built.failure:
+            return f"the map ends at t = {built.reached:.6g}: {built.failure}"
         if judgement.failure:
             return f"the error cannot be estimated everywhere: {judgement.failure}"
         if excess <= 1:

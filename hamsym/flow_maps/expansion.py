@@ -11,7 +11,7 @@ shapes (n, dim), (n, dim) and (n, dim, d), with numpy.
 
 import numpy as np
 
-CHUNK = 131_072  # values of products of polynomials at once, to stay in the cache
+CHUNK = 8_192  # queries at once
 
 
 class Piece:
@@ -23,24 +23,15 @@ class Piece:
 
     def __init__(self, degrees, readouts, columns):
         self.degrees, self.readouts, self.columns = degrees, readouts, columns
-        self.chunk = max(16, CHUNK // len(degrees))
 
     def states(self, time, y, xp):
         """Return N at scaled times and inputs."""
         values = products(self.degrees, tables(self.degrees, y, xp))
         series = chebyshev_table(time, self.columns.shape[1], xp)
         readouts = array_of(self.readouts, y, xp).T @ values
-        return combined(readouts, array_of(self.columns, y, xp), series, xp)
-
-    def derivatives(self, time, y):
-        """Return N, its derivative in the scaled time, and those in y."""
-        values, *slopes = products_and_slopes(self.degrees, y)
-        series = chebyshev_table(time, self.columns.shape[1])
-        readouts = self.readouts.T @ values
-        value = combined(readouts, self.columns, series)
-        rate = combined(readouts, self.columns, chebyshev_slopes(time, series))
-        found = [combined(self.readouts.T @ slope, self.columns, series) for slope in slopes]
-        return value, rate, np.stack(found, axis=-1)
+        columns = array_of(self.columns, y, xp)
+        parts = [(readouts * (columns[:, :, i] @ series)).sum(0) for i in range(columns.shape[2])]
+        return xp.stack(parts).T
 
 
 class Leg:
@@ -86,7 +77,7 @@ class Leg:
 
     def parts(self, times):
         """Yield the number of a piece and queries in it, in chunks."""
-        yield from grouped(interval_numbers(self.edges, times), self.pieces)
+        yield from grouped(interval_numbers(self.edges, times), len(self.pieces))
 
     def scaled_time(self, number, times):
         """Return times of a piece, counted from t_a, scaled to [-1, 1]."""
@@ -219,12 +210,6 @@ def products_and_slopes(degrees, y):
     return found
 
 
-def combined(readouts, columns, series, xp=np):
-    """Return sum_r W_r phi_r for each query, from readouts of shape (r, queries)."""
-    parts = [(readouts * (columns[:, :, i] @ series)).sum(0) for i in range(columns.shape[2])]
-    return xp.stack(parts).T
-
-
 def chebyshev_table(x, count, xp=np):
     """Return T_0 to T_(count - 1) at x, shape (count, queries)."""
     found = xp.stack((xp.ones_like(x), x))
@@ -254,13 +239,13 @@ def interval_numbers(edges, t):
     return np.searchsorted(sign * joints, sign * plain(t))
 
 
-def grouped(numbers, pieces):
+def grouped(numbers, count):
     """Yield the number of a piece and the queries with it, in chunks."""
     order = np.argsort(numbers, kind="stable")
-    ends = np.searchsorted(numbers[order], np.arange(len(pieces) + 1)).tolist()
-    for number, piece in enumerate(pieces):
-        for first in range(ends[number], ends[number + 1], piece.chunk):
-            yield number, order[first : min(first + piece.chunk, ends[number + 1])]
+    ends = np.searchsorted(numbers[order], np.arange(count + 1)).tolist()
+    for number in range(count):
+        for first in range(ends[number], ends[number + 1], CHUNK):
+            yield number, order[first : min(first + CHUNK, ends[number + 1])]
 
 
 def plain(values):

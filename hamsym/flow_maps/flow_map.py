@@ -16,7 +16,7 @@ from hamsym.flow_maps.judging import Judgement
 from hamsym.flow_maps.time_order import require_inputs, require_order
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.parallel.threads import Threads, slices
-from hamsym.solution.times import is_tensor
+from hamsym.solution.times import is_tensor, times_in_span
 from hamsym.support.record_fields import AnyFloat, Count, Size, floats
 from hamsym.support.records import packed
 from hamsym.support.shown import Drawn, Saved
@@ -24,7 +24,6 @@ from hamsym.support.suggestions import suggest_attributes
 from hamsym.support.validation import checked_numbers
 
 _QUERIES = 10_000  # for each core, from which on several are used
-_ROUND_OFF = 4e-16  # relative, of times at the ends of the span
 
 
 @suggest_attributes
@@ -268,14 +267,7 @@ class FlowMap(Drawn, Saved):
             raise InputError("t, z0 or a parameter is not finite; give finite numbers")
         if extrapolate:
             return
-        low, high = sorted(self.span)
-        slack = _ROUND_OFF * max(abs(low), abs(high))
-        late = ~((times >= low - slack) & (times <= high + slack))
-        if late.any():
-            raise InputError(
-                f"t = {times[np.argmax(late)]:.16g} is outside the span from {low:.16g} to "
-                f"{high:.16g}; give times inside it, or extrapolate=True"
-            )
+        times_in_span(times, self.span)
         outside = self.region.outside(inputs)
         if outside.any():
             query, column = np.argwhere(outside)[0]

@@ -197,8 +197,13 @@ def linear_error(
     """
     dim, count = H.dim, len(inputs)
     system = H.compile("numpy")
-    given = box.values(inputs)
-    values = {name: np.repeat(value, _NODES) for name, value in given.items()}
+    given, names = box.values(inputs), H.parameter_names
+    rows = np.empty((count * _NODES, len(names)))
+    for name, value in given.items():
+        rows[:, names.index(name)] = np.repeat(value, _NODES)
+    # Identifiers of code are other words than some names, as lambda.
+    columns = zip(names, system.keywords(rows).items(), strict=True)
+    values = dict(column for name, column in columns if name in given)
     table = collocation(_NODES)
     delta, largest = np.zeros((count, dim)), np.zeros(dim)
     before = None

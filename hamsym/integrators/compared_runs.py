@@ -8,7 +8,6 @@ Output: :class:`Round`: extrapolated states with estimated errors, and what the 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +19,6 @@ from hamsym.integrators.hidden_features import Hidden, Path, hidden_features
 from hamsym.integrators.richardson import Extrapolation, extrapolate, perturb
 from hamsym.integrators.stepper import Stepper
 from hamsym.integrators.table import INTEGRATORS, usual_method
-from hamsym.integrators.trajectory import Verdicts
 from hamsym.kernel.loops import LANES
 from hamsym.numerics.scales import SMALLEST, coupled_sizes, ratios
 from hamsym.problems.ensemble import Ensemble
@@ -44,32 +42,6 @@ _TIMES, _GOLDEN = 4096, (math.sqrt(5) - 1) / 2
 # there, and of splitting methods without and with compensated summation.
 _ROUNDING = {"implicit": 4.0, "plain": 8.0, "compensated": 0.25}
 _EPS = float(np.finfo(float).eps)
-
-
-@dataclass
-class Tolerated:
-    """Trajectories of an ensemble, and how far each of them meets the tolerance."""
-
-    #: States, shape (count, 1 + saves, dim); nan after the end of a trajectory.
-    z: np.ndarray = field(repr=False)
-    #: Estimated errors in the units of the components, shape of z; infinite where unknown.
-    errors: np.ndarray = field(repr=False)
-    #: Shape (count,).
-    success: np.ndarray
-    #: Steps of the finest run of each trajectory, shape (count,).
-    steps: np.ndarray
-    #: Largest estimated error of each trajectory relative to the sizes of its components.
-    largest: np.ndarray
-    #: Reason for each trajectory that did not succeed, by its index.
-    problems: dict[int, str]
-    evaluations: int = 0
-    interrupted: bool = False
-    tol: float = math.nan
-
-    @property
-    def verdicts(self) -> Verdicts:
-        """The verdicts without the trajectories."""
-        return Verdicts(self.steps, self.largest, self.problems, self.tol)
 
 
 def _saved_times(span: tuple[float, float], saves: int) -> np.ndarray:

@@ -62,12 +62,13 @@ def integrate_fixed(
     seconds = time.perf_counter() - began
     z, times, problem = _cut_at_end(run.z, run.times, run.problem)
     drift = _drift(members, z, steps)
-    drifts, changed = invariant_drifts(members, known, z, times, None, COARSE)
+    drifts, changed = invariant_drifts(members, known, z, times, COARSE)
     found, warning = _describe_accuracy(H, drift, choice)
     message = f"{name}: {steps:,} steps to t = {end:.6g}" + (f", {found}" if found else "")
     if changed and not warning:
+        formula, _ = next(iter(changed.values()))
         warning = (
-            f"the invariant {changed} changes by more than errors of 1 % explain; take more steps"
+            f"the invariant {formula} changes by more than errors of 1 % explain; take more steps"
         )
     unseen = ""
     if not (problem or warning or isinstance(scheme, Adaptive)):

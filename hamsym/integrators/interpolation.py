@@ -17,9 +17,8 @@ from numpy.polynomial.polynomial import polyval
 from hamsym.errors import InputError
 from hamsym.numerics.scales import SMALLEST
 from hamsym.problems.ensemble import Ensemble
-from hamsym.support.validation import checked_numbers
+from hamsym.support.validation import checked_numbers, outside_span
 
-_ROUND_OFF = 4e-16  # relative, of times at the ends of the span
 _COARSEST = 0.01  # of the size of a component: errors above are refused
 _HELD = 4_000_000  # numbers of the derivatives of the rates that are evaluated at once
 _QUARTERS = (0.25, 0.75)  # of an interval, where the defect is largest, nearly
@@ -123,14 +122,12 @@ class Interpolant:
         times = checked_numbers("t", t)
         if times.ndim > 1:
             raise InputError(f"t has shape {times.shape}; give one time or a list of times")
-        low, high = min(self._t[0], self._t[-1]), max(self._t[0], self._t[-1])
-        slack = _ROUND_OFF * max(abs(low), abs(high))
-        inside = (times >= low - slack) & (times <= high + slack)
-        if not inside.all():
-            worst = float(np.atleast_1d(times)[~np.atleast_1d(inside)][0])
+        low, high = sorted((self._t[0], self._t[-1]))
+        outside = outside_span(times, (low, high))
+        if outside.any():
             raise InputError(
-                f"t = {worst:.16g} is outside the trajectory, from {low:.16g} to {high:.16g}; give "
-                "times inside it, or integrate over a longer span"
+                f"t = {times[outside].flat[0]:.16g} is outside the trajectory, from {low:.16g} to "
+                f"{high:.16g}; give times inside it, or integrate over a longer span"
             )
         return np.clip(times, low, high)
 

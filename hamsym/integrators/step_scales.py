@@ -8,14 +8,12 @@ the states alone. Nor has it much round-off of its own, unless the terms of an a
 from __future__ import annotations
 
 import enum
-import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import sympy
 
 from hamsym.codegen.functions import compile_expressions
-from hamsym.codegen.names import Names
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.symbolic.equations import Equations
 
@@ -48,15 +46,14 @@ class StepScales:
     """Tests of blocks of steps."""
 
     def __init__(self, equations: Equations) -> None:
-        self._identifiers = [name for name, _ in Names(equations).parameters]
         variables = [*equations.z, *([] if equations.time is None else [equations.time])]
         found = _arguments(equations.vector_field, variables)
         self._scales = None if found is None else [scale for _, scale in found]
         self._arguments = compile_expressions([g for g, _ in found or []], equations)
         terms = [_magnitude(g) for g, _ in found or [] if _cancels(g)]
-        self._terms = compile_expressions(terms, equations) if terms else None
+        self._terms = compile_expressions(terms, equations)
         switches = [switch for switch, _ in equations.switches(variables)]
-        self._switches = compile_expressions(switches, equations) if switches else None
+        self._switches = compile_expressions(switches, equations)
 
     def resolved(
         self, z: np.ndarray, t: np.ndarray, parameters: np.ndarray | None, blocks: np.ndarray
@@ -69,7 +66,8 @@ class StepScales:
         """
         if self._scales is None:
             return np.zeros((len(z), len(blocks)), dtype=bool)
-        g = on_trajectories(self._arguments, self._identifiers, z, t, parameters)
+        own = None if parameters is None else parameters[:, None]
+        g = self._arguments(z, t, own)
         found = np.ones((len(z), len(blocks)), dtype=bool)
         states = np.ascontiguousarray(blocks.T)  # long rows have their largest values sooner
         for k, scale in enumerate(self._scales):
@@ -81,41 +79,16 @@ class StepScales:
                 found &= high * low > 0
             else:
                 found &= high - low <= scale.value
-        if self._terms is not None:
-            some = z[:, blocks[:, 0]], t[blocks[:, 0]]
-            terms = on_trajectories(self._terms, self._identifiers, *some, parameters)
-            found &= (terms <= _CANCELLED).all(axis=2)
-        return found
+        terms = self._terms(z[:, blocks[:, 0]], t[blocks[:, 0]], own)
+        return found & (terms <= _CANCELLED).all(axis=2)
 
     def switched(self, z: np.ndarray, t: np.ndarray, parameters: np.ndarray | None) -> np.ndarray:
         """Whether each argument of abs, sign or similar changes its sign in each step.
 
         The parameters are those of :meth:`resolved`; shape (n, steps, arguments).
         """
-        if self._switches is None:
-            return np.zeros((len(z), len(t) - 1, 0), dtype=bool)
-        signs = np.sign(on_trajectories(self._switches, self._identifiers, z, t, parameters))
+        signs = np.sign(self._switches(z, t, None if parameters is None else parameters[:, None]))
         return np.asarray(signs[:, 1:] != signs[:, :-1])
-
-
-def on_trajectories(
-    function: Callable[..., np.ndarray],
-    names: Sequence[str],
-    z: np.ndarray,
-    t: np.ndarray,
-    parameters: np.ndarray | None,
-) -> np.ndarray:
-    """Evaluate compiled expressions along trajectories with parameters of their own.
-
-    - names: Identifiers of all parameters, k of them, of which the function takes some.
-    - z, t, parameters: Shapes (n, times, dim), (times,) and (n, k); no parameters for those of H.
-    """
-    given = {}
-    if parameters is not None:
-        used = inspect.signature(function).parameters
-        pairs = zip(names, parameters.T[..., None], strict=True)
-        given = {name: values for name, values in pairs if name in used}
-    return function(z, t, **given)
 
 
 def _arguments(

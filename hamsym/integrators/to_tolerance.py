@@ -23,15 +23,16 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from hamsym.integrators.coefficients import Splitting
-from hamsym.integrators.compared_runs import SLACK, ComparedRuns, Round, Tolerated
+from hamsym.integrators.compared_runs import SLACK, ComparedRuns, Round
 from hamsym.integrators.invariant_drift import invariant_drifts
 from hamsym.integrators.step_scales import fastest_rates
 from hamsym.integrators.stepper import INTERRUPTED, require_memory
-from hamsym.integrators.trajectory import Trajectory
+from hamsym.integrators.trajectory import Trajectory, Verdicts
 from hamsym.parallel.threads import Threads
 from hamsym.problems.conservation import KnownInvariants
 from hamsym.problems.ensemble import Ensemble
@@ -76,17 +77,20 @@ def integrate_to_tolerance(
     runs = ComparedRuns(members, name, span, tol, saves, compensated)
     times = runs.times
     found = ToleranceSearch(runs, saves).run(progress)
-    found.tol = tol
-    drifts, _ = invariant_drifts(members, known, found.z, times, found, tol)
+    verdicts = found.verdicts
+    drifts, refused = invariant_drifts(members, known, found.z, times, tol, found.errors)
+    for index, (_, reason) in refused.items():
+        if found.success[index]:
+            found.success[index], verdicts.problems[index] = False, reason
     seconds = time.perf_counter() - began
     shape, z, errors = members.shape, found.z, found.errors
     if not shape:
         end = max(int(np.isfinite(z[0]).all(axis=-1).sum()), 1)
         z, errors, times = z[:, :end], errors[:, :end], times[:end]
-        message = found.verdicts.outcome(0, name, span[1])
+        message = verdicts.outcome(0, name, span[1])
     else:
-        message = found.verdicts.outcome_of_all(name, span[1])
-    steps = int(found.steps.max())
+        message = verdicts.outcome_of_all(name, span[1])
+    steps = int(verdicts.steps.max())
     return Trajectory(
         t=times,
         z=z.reshape(*shape, *z.shape[1:]),
@@ -101,9 +105,24 @@ def integrate_to_tolerance(
         ensemble=members,
         interrupted=found.interrupted,
         errors=errors.reshape(*shape, *errors.shape[1:]),
-        verdicts=found.verdicts,
+        verdicts=verdicts,
         invariant_drift=drifts,
     )
+
+
+@dataclass
+class Tolerated:
+    """Trajectories of an ensemble, and how far each of them meets the tolerance."""
+
+    #: States, shape (count, 1 + saves, dim); nan after the end of a trajectory.
+    z: np.ndarray
+    #: Estimated errors in the units of the components, shape of z; infinite where unknown.
+    errors: np.ndarray
+    #: Shape (count,).
+    success: np.ndarray
+    verdicts: Verdicts
+    evaluations: int = 0
+    interrupted: bool = False
 
 
 class ToleranceSearch:
@@ -131,11 +150,10 @@ class ToleranceSearch:
             np.full((count, 1 + saves, dim), np.nan),
             np.full((count, 1 + saves, dim), np.inf),
             np.zeros(count, dtype=bool),
-            np.zeros(count, dtype=np.int64),
-            np.full(count, np.inf),
-            {},
+            Verdicts(np.zeros(count, dtype=np.int64), np.full(count, np.inf), {}, runs.tol),
         )
         self._found.z[:, 0] = members.states
+        self._problems = self._found.verdicts.problems
 
     def run(self, progress: bool | None) -> Tolerated:
         """Search the number of steps of each member."""
@@ -160,7 +178,7 @@ class ToleranceSearch:
         except KeyboardInterrupt:
             found.interrupted = True
             for index in np.flatnonzero(~found.success).tolist():
-                found.problems.setdefault(index, INTERRUPTED)
+                self._problems.setdefault(index, INTERRUPTED)
         return found
 
     # -- numbers of steps --------------------------------------------------------------------
@@ -179,7 +197,7 @@ class ToleranceSearch:
         usable[unknown] = self._has_rates(unknown)
         rates[unknown] = 0.0
         for index in np.flatnonzero(~usable).tolist():
-            self._found.problems[index] = (
+            self._problems[index] = (
                 "H or its gradient is not finite at the start; choose another initial state"
                 if finite[index]
                 else "the start is not finite; give finite numbers"
@@ -187,7 +205,7 @@ class ToleranceSearch:
         wanted = np.where(usable, length * rates / angle, 1.0)
         slow = wanted <= self._most / 4
         for index in np.flatnonzero(usable & ~slow).tolist():
-            self._found.problems[index] = (
+            self._problems[index] = (
                 f"resolving the motion at the start needs {4 * wanted[index]:.0e} steps, above the "
                 "limit; give a shorter span"
             )
@@ -239,7 +257,8 @@ class ToleranceSearch:
         errors[np.isnan(errors)] = np.inf
         errors[:, 0] = 0.0
         found.errors[rows] = errors
-        found.success[rows], found.steps[rows], found.largest[rows] = good, 4 * result.coarse, worst
+        found.success[rows] = good
+        found.verdicts.steps[rows], found.verdicts.largest[rows] = 4 * result.coarse, worst
         bad = np.flatnonzero(~good)
         if not len(bad):
             return rows[:0]
@@ -278,7 +297,7 @@ class ToleranceSearch:
         stop |= (4 * wanted > most) | (self._limited[again] >= _MAX_LIMITED)
         coarse = self._rounded(np.minimum(wanted, self._most), 2)
         for position in bad[stop].tolist():
-            found.problems[int(rows[position])] = self._problem(result, position)
+            self._problems[int(rows[position])] = self._problem(result, position)
         self._coarse[again] = coarse
         return again[~stop]
 

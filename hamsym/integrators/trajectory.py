@@ -17,11 +17,11 @@ from hamsym.integrators.interpolation import Interpolant
 from hamsym.integrators.table import INTEGRATORS
 from hamsym.problems.description import attributes_of
 from hamsym.problems.ensemble import Ensemble
-from hamsym.problems.observed import observed, observed_variable
+from hamsym.problems.observed import dataset_of_states, observed
 from hamsym.support.record_fields import UNSAVED, AnyFloat, Count, Size, counts, flags, floats
 from hamsym.support.shown import Drawn, Saved
 from hamsym.support.suggestions import suggest_attributes
-from hamsym.support.tables import data_frame, data_set, member_axes, time_name
+from hamsym.support.tables import ensemble_frame, member_axes, time_name
 
 if TYPE_CHECKING:
     import pandas
@@ -241,11 +241,8 @@ class Trajectory(Drawn, Saved):
     @cached_property
     def energy(self) -> np.ndarray:
         """H along the trajectory, shape (*shape, n)."""
-        system = self.ensemble.H.compile("numpy")
-        values = self.ensemble.own_parameters()
-        if values is not None:
-            values = values.reshape(*self.ensemble.shape, 1, -1)
-        return system.at("energy", self.z, self.t, values)
+        system, own = self.ensemble.H.compile("numpy"), self._own_parameters
+        return system.at("energy", self.z, self.t, None if own is None else own[..., None, :])
 
     @cached_property
     def energy_drift(self) -> np.ndarray:
@@ -264,11 +261,8 @@ class Trajectory(Drawn, Saved):
         H, change = self.ensemble.H, self.energy - self.energy[..., :1]
         if H.conserves_energy:
             return change
-        values = None
-        if self.ensemble.varied:
-            values = self.ensemble.parameters.reshape(*self.ensemble.shape, 1, -1)
         with np.errstate(all="ignore"):
-            power = H.observable(H.power)(self.z, self.t, values)
+            (power,) = self._observed([H.power]).values()
         return change - work_of(self.t, power)
 
     # -- by name and by time ---------------------------------------------------------------------
@@ -296,9 +290,13 @@ class Trajectory(Drawn, Saved):
         return values
 
     def _observed(self, names: Sequence[Any]) -> dict[str, np.ndarray]:
+        return observed(self.ensemble.H, names, self.z, self.t, self._own_parameters)
+
+    @property
+    def _own_parameters(self) -> np.ndarray | None:
+        """Parameters of each trajectory, shape (*shape, k); None where all have those of H."""
         own = self.ensemble.own_parameters()
-        own = None if own is None else own.reshape(*self.ensemble.shape, -1)
-        return observed(self.ensemble.H, names, self.z, self.t, own)
+        return None if own is None else own.reshape(*self.ensemble.shape, -1)
 
     def __iter__(self) -> NoReturn:
         raise TypeError("a Trajectory is not a sequence; iterate over its t, its z or its names")
@@ -406,14 +404,9 @@ class Trajectory(Drawn, Saved):
         >>> table.loc[0.5].round(4).to_dict()
         {'x': 0.8776, 'p': -0.4794}
         """
-        shape, n = self.ensemble.shape, len(self.t)
-        places = np.indices((*shape, n)).reshape(len(shape) + 1, -1)
-        index = dict(zip(member_axes(shape), places[:-1], strict=True))
-        index[time_name(self.names)] = self.t[places[-1]]
-        columns = {name: values.ravel() for name, values in self._observed(names).items()}
-        members = np.repeat(np.arange(len(self.ensemble)), n)
-        columns |= {name: values[members] for name, values in self.ensemble.columns.items()}
-        return data_frame(columns, index, self._attributes)
+        found, members = self._observed(names), self.ensemble
+        index = {time_name(self.names): self.t}
+        return ensemble_frame(members.shape, index, found, members.columns, self._attributes)
 
     def to_xarray(self, *names: Any) -> xarray.Dataset:
         """Return states, energies, success and messages as a dataset of xarray.
@@ -442,20 +435,17 @@ class Trajectory(Drawn, Saved):
         """
         shape = self.ensemble.shape
         axes = member_axes(shape)
-        states = [*axes, "time", "component"]
-        success = np.array(np.broadcast_to(self.success, shape))
         variables = {
-            "state": (states, self.z),
             "energy": ([*axes, "time"], self.energy),
-            "success": (axes, success),
+            "success": (axes, np.array(np.broadcast_to(self.success, shape))),
             "message": (axes, self.messages),
         }
         if self.errors is not None:
-            variables["errors"] = (states, self.errors)
+            variables["errors"] = ([*axes, "time", "component"], self.errors)
         varied = {name: (axes, own.reshape(shape)) for name, own in self.ensemble.columns.items()}
-        value, quantity = observed_variable(names, [*axes, "time"], self._observed)
-        along = {"time": self.t, "component": list(self.names)}
-        return data_set(variables | value, {**along, **varied, **quantity}, self._attributes)
+        columns = self._observed(names) if names else {}
+        given = self.z, columns, variables, varied, self._attributes
+        return dataset_of_states(self.H, axes, self.t, *given)
 
     @property
     def _attributes(self) -> dict[str, Any]:

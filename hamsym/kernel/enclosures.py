@@ -1,4 +1,4 @@
-"""Balls, series and windows of proofs in the library, as functions of arrays.
+"""Series and windows of proofs in the library, as functions of arrays.
 
 A ball is a triple (high, low, radius) of numbers, or a row of an array. What the functions compute
 is in ``balls.h``, ``series.h``, ``enclosures.h`` and ``sets.c``, and why their bounds hold, in the
@@ -25,19 +25,9 @@ REDUCED_ANGLE = 16
 
 MOST_TERMS = 64  # of a series
 
-#: Functions of balls, by their numbers.
-BALL_FUNCTIONS = (
-    *("add", "multiply", "divide", "scaled", "absolute", "root", "exponential", "logarithm"),
-    *("arctangent", "arcsine", "arccosine", "inverse_hyperbolic_sine", "inverse_hyperbolic_cosine"),
-    *("inverse_hyperbolic_tangent", "error_function", "sine_cosine"),
-)
-
 # Result and arguments of each function, whose names begin with hamsym_; see loops._KINDS.
 _SIGNATURES = {
-    "balls": "v iippp",
     "norms": "v ppiip",
-    "multiply_series": "d ppippippi",
-    "integrate_series": "d ppippi",
     "differentiate_series": "d ppippi",
     "end_values": "v ppiiiip",
     "run_series": "v nisi",
@@ -109,6 +99,7 @@ class Enclosures:
     """The functions of a library."""
 
     def __init__(self, library: ctypes.CDLL) -> None:
+        self.library = library
         self._functions = {
             name: (typed(library, f"hamsym_{name}", signature), signature.split()[1])
             for name, signature in _SIGNATURES.items()
@@ -120,21 +111,6 @@ class Enclosures:
         given = zip(arguments, kinds, strict=True)
         return function(*[pointer(a, k) if isinstance(a, np.ndarray) else a for a, k in given])
 
-    # -- balls -----------------------------------------------------------------------------------
-
-    def balls(self, function: str, x: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:
-        """Apply one of ``BALL_FUNCTIONS`` to balls, shape (n, 3).
-
-        A ball is scaled by the mid-point of another, which must be a power of two. Results have
-        the shape (n, 3), and (n, 2, 3) for the pair of sine and cosine; a bound is a mid-point.
-        """
-        x = _reals(x)
-        out = np.empty((len(x), 2, 3)) if function == "sine_cosine" else np.empty((len(x), 3))
-        second = x if y is None else _reals(y)
-        require_fit(len(x) == len(second))
-        self._call("balls", BALL_FUNCTIONS.index(function), len(x), x, second, out)
-        return out
-
     # -- series ----------------------------------------------------------------------------------
 
     def norms(self, high: np.ndarray, low: np.ndarray | None = None) -> np.ndarray:
@@ -143,24 +119,6 @@ class Enclosures:
         out = np.empty(high.shape[:-1])
         self._call("norms", high, rest, out.size, high.shape[-1], out)
         return out
-
-    def multiply_series(
-        self,
-        first: tuple[np.ndarray, np.ndarray],
-        second: tuple[np.ndarray, np.ndarray],
-        out: tuple[np.ndarray, np.ndarray],
-        twice: bool,
-    ) -> float:
-        """Write the product of two series (high, low); return a bound on its rounding errors."""
-        factors = [*map(_reals, first), len(first[0]), *map(_reals, second), len(second[0])]
-        return float(self._call("multiply_series", *factors, *out, twice))
-
-    def integrate_series(
-        self, series: tuple[np.ndarray, np.ndarray], out: tuple[np.ndarray, np.ndarray], twice: bool
-    ) -> float:
-        """Write the integral from -1 of a series; return a bound on its rounding errors."""
-        given = [*map(_reals, series), len(series[0])]
-        return float(self._call("integrate_series", *given, *out, twice))
 
     def differentiate_series(
         self, series: tuple[np.ndarray, np.ndarray], out: tuple[np.ndarray, np.ndarray], twice: bool

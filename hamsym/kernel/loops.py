@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from ctypes import c_double, c_int64, c_void_p
 from typing import Any
 
@@ -31,11 +30,6 @@ ACCEPTED, LEFT = range(2)
 UNRESOLVED, EXCESSIVE, BENT, UNBOUNDED = 1, 2, 4, 8
 
 LANES = 8  # rows have a multiple of these numbers
-
-#: (states (dim, n), times (n,), parameters (k,), out (results, n)), which writes to out.
-RowFunction = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], None]
-_ROW_FUNCTION = ctypes.CFUNCTYPE(None, c_void_p, c_void_p, c_void_p, c_void_p, c_int64)
-
 
 # Result and arguments of each function, as in _KINDS.
 _SIGNATURES = {
@@ -153,22 +147,18 @@ def arrays(names: str) -> list[tuple[str, Any]]:
 
 
 class Program(Record):
-    """Formulas as a straight-line program over rows, or as a function of rows.
+    """Formulas as a straight-line program over rows.
 
     Raise ValueError if a step reads a row that is not written before, or a row does not exist.
 
     - numbers, rests: Numbers in float64, and the exact ones less these, by default zero.
     - steps: Numbers of operations and of rows; see ``program.h``.
-    - function: In place of the steps.
     """
 
     _fields_ = [
         *counts("dim parameters numbers results intermediates steps"),
-        *arrays("number rest step"),
-        ("function", _ROW_FUNCTION),
+        *arrays("number rest step function"),
     ]
-
-    failure: Exception | None = None  # of the function of rows, until the caller raises it
 
     def __init__(
         self,
@@ -180,7 +170,6 @@ class Program(Record):
         rests: Sequence[float] | None = None,
         intermediates: int = 0,
         steps: Sequence[tuple[int, int, int, int]] = (),
-        function: RowFunction | None = None,
     ) -> None:
         super().__init__(
             dim=dim,
@@ -192,35 +181,9 @@ class Program(Record):
             number=np.array(numbers, dtype=float),
             rest=np.zeros(len(numbers)) if rests is None else np.array(rests, dtype=float),
             step=np.array(steps, dtype=np.int32).reshape(-1, 4),
-            function=_ROW_FUNCTION() if function is None else _ROW_FUNCTION(self._called(function)),
         )
         if not library().hamsym_check_program(ctypes.byref(self)):
             raise ValueError("the program reads or writes a row that it does not have")
-
-    def _called(self, function: RowFunction) -> Callable[..., None]:
-        """Return a function of addresses; an exception in it is raised by the caller."""
-
-        def array(address: int, *shape: int) -> np.ndarray:
-            if not all(shape):
-                return np.empty(shape)
-            memory = (c_double * math.prod(shape)).from_address(address)
-            return np.ctypeslib.as_array(memory).reshape(shape)
-
-        def call(states: int, times: int, parameters: int, out: int, n: int) -> None:
-            found = array(out, self.results, n)
-            try:
-                with np.errstate(all="ignore"):
-                    function(
-                        array(states, self.dim, n),
-                        array(times, n),
-                        array(parameters, self.parameters),
-                        found,
-                    )
-            except Exception as error:  # a callback cannot raise
-                self.failure = error
-                found[:] = np.nan
-
-        return call
 
     def __call__(self, states: np.ndarray, times: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """Evaluate at states (dim, n), times (n,), parameters (k,): values, shape (results, n)."""
@@ -235,7 +198,6 @@ class Program(Record):
             ctypes.byref(self), *(a.ctypes.data for a in given), count + more, out.ctypes.data
         )
         require_memory(done)
-        self.check()
         return out[:, :count]
 
     def roundings(
@@ -262,14 +224,7 @@ class Program(Record):
             *map(address, found),
         )
         require_memory(done)
-        self.check()
         return found
-
-    def check(self) -> None:
-        """Raise what the function of rows raised."""
-        failure, self.failure = self.failure, None
-        if failure is not None:
-            raise failure
 
 
 class Equations(Record):
@@ -295,15 +250,6 @@ class Equations(Record):
         """Return the program of a name."""
         found: Program = self.arrays[name]
         return found
-
-    def check(self) -> None:
-        """Raise what a function of rows raised."""
-        for program in self._called:
-            program.check()
-
-    @functools.cached_property
-    def _called(self) -> list[Program]:
-        return [program for program in self.arrays.values() if program.function]
 
 
 class Tables(Record):
@@ -482,7 +428,6 @@ def march(
     outcome = library().hamsym_march(
         *map(ctypes.byref, (H, tables, settings, progress, windows)), given
     )
-    H.check()
     require_memory(outcome != _NO_MEMORY)
     return int(outcome)
 
@@ -501,7 +446,6 @@ def first_length(
     length = library().hamsym_first_length(
         *map(ctypes.byref, (H, tables)), *(a.ctypes.data for a in given), start, end
     )
-    H.check()
     return float(length)
 
 
@@ -518,7 +462,6 @@ def carry_errors(
     first = c_int64(0)
     structures = (H, error_tables, actions, settings, windows, tables, results, first)
     outcome = library().hamsym_errors(*map(ctypes.byref, structures), windows.room)
-    H.check()
     require_memory(outcome != _NO_ROOM)
     return first.value, int(outcome)
 
@@ -535,6 +478,5 @@ def solve_members(
     done = library().hamsym_members(
         ctypes.byref(shared), ctypes.byref(span), *given, ctypes.byref(members)
     )
-    shared.arrays["equations"].check()
     require_memory(done >= 0)
     return int(done)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from hamsym.networks.trial import TrialSolution
-from hamsym.numerics.windows import locate
+from hamsym.numerics.windows import locate, times_in_windows
 from hamsym.support.record_fields import Count, Limit, Size, counts, floats
 
 #: Most windows of a chain.
@@ -133,9 +133,7 @@ class ChainTraining:
 
     def times(self, span: tuple[float, float], count: int) -> np.ndarray:
         """Return about ``count`` times: at least nine per window, its start first, and the end."""
-        inside = np.linspace(0, 1, max(9, count // len(self.edges)), endpoint=False)
-        within = self.edges[:-1, None] + np.diff(self.edges)[:, None] * inside
-        return np.append(within.ravel(), self.edges[-1])
+        return times_in_windows(self.edges, max(9, count // len(self.edges)))
 
     def require_trial(self, trial: Any) -> None:
         """Raise ValueError if this is not the record of a chain."""

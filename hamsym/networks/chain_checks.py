@@ -12,7 +12,7 @@ from hamsym.networks.chain import Chain
 from hamsym.networks.trial import TrialSolution
 from hamsym.random_features.basis import feature_basis
 from hamsym.random_features.flow import flow_of
-from hamsym.random_features.window_checks import Pieces, WindowChecks, times_of
+from hamsym.random_features.window_checks import Pieces, WindowChecks, places_of
 from hamsym.random_features.windows import Windows
 
 
@@ -53,6 +53,4 @@ class ChainChecks(WindowChecks):
         )
 
     def _at(self, pieces: Pieces, parts: Parts, x: np.ndarray) -> Places:
-        t = times_of(pieces, parts, x)
-        z, rates = self._chain.states_and_rates(t.ravel())
-        return Places(z.reshape(*t.shape, -1), rates.reshape(*t.shape, -1), t)
+        return places_of(self._chain.states_and_rates, pieces, parts, x)

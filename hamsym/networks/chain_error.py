@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.networks.chain import Chain, ChainTraining
+from hamsym.networks.chain import Chain
 from hamsym.networks.chain_training import points_of
 from hamsym.random_features.basis import feature_basis
 from hamsym.random_features.error_estimate import FINE, USUAL, error_tables, estimate_error
@@ -42,7 +42,7 @@ class ChainError(WindowError):
 
     def refined(self, path: Any) -> ChainError:
         """Estimate the error of the same chain with more nodes."""
-        return estimate_chain_error(path.H, path.trial, path.record, resolution=FINE).error
+        return estimate_chain_error(path.H, path.trial, path.points, resolution=FINE).error
 
 
 class ErrorOfChain(NamedTuple):
@@ -53,14 +53,15 @@ class ErrorOfChain(NamedTuple):
 
 
 def estimate_chain_error(
-    H: Hamiltonian, chain: Chain, training: ChainTraining, *, resolution: int = USUAL
+    H: Hamiltonian, chain: Chain, points: int, *, resolution: int = USUAL
 ) -> ErrorOfChain:
     """Estimate the error of a chain from its residual.
 
+    - points: Collocation points of all windows.
     - resolution: Index of :data:`hamsym.random_features.error_estimate.RESOLUTIONS`.
     """
     flow, basis = flow_of(H), feature_basis()
-    edges = _parts(chain, training)
+    edges = _parts(chain, points / len(chain.pieces))
     lengths, count = np.diff(edges)[:, None], len(edges) - 1
 
     def at(places: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -79,9 +80,7 @@ def estimate_chain_error(
         gaps = np.diff(states, axis=0) - np.einsum("m,wmd->wd", end, readouts)
         readouts += (end / (end @ end))[:, None] * gaps[:, None]
         *_, residuals = at(error_tables(basis, resolution)["place"])
-        path = March(
-            edges, states, readouts, edges[-1], "", 0, 0, np.abs(z).max(axis=(0, 1)), 0.0, 0.0, 0
-        )
+        path = March(edges, states, readouts, edges[-1], np.abs(z).max(axis=(0, 1)))
         found = estimate_error(
             path,
             basis,
@@ -97,10 +96,9 @@ def estimate_chain_error(
     )
 
 
-def _parts(chain: Chain, training: ChainTraining) -> np.ndarray:
-    """Return the edges of parts of windows in which the residual is resolved."""
-    edges, mean = chain.edges, training.points / len(chain.pieces)
-    inside = []
+def _parts(chain: Chain, mean: float) -> np.ndarray:
+    """Return the edges of parts of windows, with a mean number of points, for the residual."""
+    edges, inside = chain.edges, []
     for piece, start, end in zip(chain.pieces, edges[:-1], edges[1:], strict=True):
         points = max(mean, points_of((end - start) / piece.tau))
         count = math.ceil(points / _POINTS_PER_PART)

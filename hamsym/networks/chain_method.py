@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from hamsym.errors import InputError
+from hamsym.networks.chain import ChainTraining
 from hamsym.networks.chain_error import ErrorOfChain, estimate_chain_error
 from hamsym.networks.chain_training import ChainRun, ChainSettings, TrainedChain
 from hamsym.networks.methods import NetworkChain
@@ -86,11 +87,11 @@ def solve_by_chain(problem: InitialValueProblem, method: NetworkChain) -> Soluti
             passes += 1
             with _progress(problem.progress) as advance:
                 trained = _trained(problem, method, guess, settings, advance)
-            if trained.chain is None or trained.training is None:
+            if not trained.chain.pieces:
                 break
-            evaluations += trained.training.point_evaluations
-            rejected += trained.training.rejected
-            estimate = estimate_chain_error(H, trained.chain, trained.training)
+            evaluations += trained.evaluations + guess.record.point_evaluations
+            rejected += trained.rejected
+            estimate = estimate_chain_error(H, trained.chain, trained.points)
             found = _Pass(
                 trained, estimate, allowed_errors(tol, problem.atol, estimate.error.scale)
             )
@@ -103,10 +104,15 @@ def solve_by_chain(problem: InitialValueProblem, method: NetworkChain) -> Soluti
                 break
             tighter = local * min(max(_MARGIN / found.excess, 1e-3), 0.1)
             settings = replace(settings, tolerance=max(tighter, _LEAST_LOCAL))
-    if best is None or best.trained.chain is None or best.trained.training is None:
+    if best is None:
         raise InputError(f"no solution beyond t = {trained.reached:.6g}: {trained.reason}")
-    record = replace(
-        best.trained.training,
+    chain, fits = best.trained.chain, best.trained.fits
+    record = ChainTraining(
+        chain.edges,
+        steps=np.array([fit.steps for fit in fits], dtype=np.int64),
+        hidden_steps=np.array([fit.hidden_steps for fit in fits], dtype=np.int64),
+        residuals=np.array([fit.residual for fit in fits], dtype=float),
+        points=best.trained.points,
         point_evaluations=evaluations,
         rejected=rejected,
         passes=passes,
@@ -117,13 +123,13 @@ def solve_by_chain(problem: InitialValueProblem, method: NetworkChain) -> Soluti
         H,
         problem.z0,
         (span[0], best.trained.reached),
-        best.trained.chain,
+        chain,
         method=method.name,
         record=record,
         settings=Settings.of(problem, method),
         error=best.estimate.error,
     )
-    count, jump = len(record.steps), None
+    count, jump = len(fits), None
     if not best.trained.reason:
         times = record.times(solution.span, _JUMP_SAMPLES * len(record.edges))
         jump = first_jump(solution, times, unresolved(solution))
@@ -158,16 +164,7 @@ def _trained(
         settings,
         torch.Generator().manual_seed(problem.seed),
     ).trained(advance)
-    return replace(
-        found,
-        training=found.training
-        and replace(
-            found.training,
-            point_evaluations=found.training.point_evaluations + march.point_evaluations,
-        ),
-        reason=found.reason or march.reason,
-        doubt=found.doubt or march.doubt,
-    )
+    return replace(found, reason=found.reason or march.reason, doubt=found.doubt or march.doubt)
 
 
 @contextmanager

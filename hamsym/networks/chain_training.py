@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -19,7 +18,7 @@ from torch import Tensor
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.networks.chain import MAX_WINDOWS, Chain, ChainTraining
+from hamsym.networks.chain import MAX_WINDOWS, Chain
 from hamsym.networks.chain_checks import ChainChecks
 from hamsym.networks.methods import NetworkChain
 from hamsym.networks.network import Network
@@ -51,16 +50,25 @@ class ChainSettings(Settings):
 
 @dataclass(frozen=True)
 class TrainedChain:
-    """A chain and its record."""
+    """A chain, which may have no networks, and how it was trained."""
 
-    chain: Chain | None
-    training: ChainTraining | None
+    chain: Chain
+    #: Of each window.
+    fits: tuple[Fit, ...]
+    #: Evaluations of the vector field, each at one point, and windows that were divided.
+    evaluations: int
+    rejected: int
     #: Why it ends before its last window does, "" if not.
     reason: str
     #: End of its last window.
     reached: float
     #: What an equal window misses between its points, "" if nothing is known.
     doubt: str
+
+    @property
+    def points(self) -> int:
+        """Collocation points of all windows."""
+        return sum(fit.points for fit in self.fits)
 
 
 class _Flow:
@@ -128,7 +136,6 @@ class ChainRun:
         settings: ChainSettings,
         generator: torch.Generator,
     ) -> None:
-        self._began = time.perf_counter(), time.process_time()
         self._flow, self._method, self._settings = _Flow(H), method, settings
         self._equal, self._random = method.windows is not None, generator
         self._checks = ChainChecks(H, generator.initial_seed())
@@ -267,22 +274,9 @@ class ChainRun:
         return found and f"{found}: a narrow pulse, a step or a jump"
 
     def _result(self) -> TrainedChain:
-        if not self._pieces:
-            return TrainedChain(None, None, self._reason, self._time, self._doubt)
-        chain = Chain(tuple(self._pieces), self._time)
-        training = ChainTraining(
-            chain.edges,
-            np.array([fit.steps for fit in self._fits], dtype=np.int64),
-            np.array([fit.hidden_steps for fit in self._fits], dtype=np.int64),
-            np.array([fit.residual for fit in self._fits], dtype=float),
-            sum(fit.points for fit in self._fits),
-            self._evaluations,
-            self._rejected,
-            1,
-            time.perf_counter() - self._began[0],
-            time.process_time() - self._began[1],
-        )
-        return TrainedChain(chain, training, self._reason, self._time, self._doubt)
+        chain, fits = Chain(tuple(self._pieces), self._time), tuple(self._fits)
+        cost = self._evaluations, self._rejected
+        return TrainedChain(chain, fits, *cost, self._reason, self._time, self._doubt)
 
 
 def _piece(

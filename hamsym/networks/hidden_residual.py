@@ -15,7 +15,7 @@ import numpy as np
 from hamsym.bounds.models import NODES
 from hamsym.bounds.residual import NOISE, ExcessSearch, Parts, Places
 from hamsym.random_features.flow import flow_of
-from hamsym.random_features.window_checks import Pieces, times_of
+from hamsym.random_features.window_checks import Pieces, places_of
 from hamsym.solution.solution import Solution
 from hamsym.support.machine import one_core
 
@@ -38,9 +38,7 @@ def hidden_residual(solution: Solution) -> str:
     pieces = Pieces(edges[:-1], edges[1:], np.empty((count, 0)), np.empty((count, 0, 0)))
 
     def trial(parts: Parts) -> Places:
-        t = times_of(pieces, parts, NODES)
-        z, rates = solution.evaluate(t.ravel())
-        return Places(z.reshape(*t.shape, -1), rates.reshape(*t.shape, -1), t)
+        return places_of(solution.evaluate, pieces, parts, NODES)
 
     def rates(z: np.ndarray, t: np.ndarray, _window: np.ndarray) -> np.ndarray:
         return flow.vector_field(z, t, flow.parameters)

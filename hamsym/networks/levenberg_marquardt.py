@@ -15,6 +15,7 @@ one more solve with the same factor and saves most of the iterations.
 from __future__ import annotations
 
 from itertools import accumulate
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -22,13 +23,11 @@ from torch import Tensor
 from hamsym.errors import InputError
 from hamsym.networks.module_rates import ModuleRates
 from hamsym.networks.module_trial import ModuleTrial
-from hamsym.networks.network import Network, layers_of
+from hamsym.networks.network import layers_of
 from hamsym.networks.objective import Objective
 from hamsym.networks.optimizers import QuasiNewton
-from hamsym.networks.points import fresh_points
 from hamsym.networks.sensitivities import Layer, backward, forward
 from hamsym.networks.trial import TrialSolution
-from hamsym.support.validation import require_whole
 
 # Damping relative to the mean diagonal of J J^T; the least in units of the type's precision,
 # 1e-14 in float64.
@@ -44,16 +43,13 @@ class LevenbergMarquardt(QuasiNewton):
     Raise InputError if a trial solution has no known derivative in its weights, or the objective
     has regularizers, which have no least-squares form.
 
-    - points: Collocation points K on the whole span; short spans of sequential training have fewer.
+    The collocation points are those on the whole span; short spans of sequential training have
+    fewer.
     """
 
     _trial: TrialSolution | ModuleTrial
     check_every = 5
     _PATIENCE = 3  # iterations in a row without an acceptable step that count as a stall
-
-    def __init__(self, *, points: int = 200) -> None:
-        require_whole("points", points, 2)
-        self.points = points
 
     def bind(
         self, trial: torch.nn.Module, objective: Objective, generator: torch.Generator
@@ -74,10 +70,11 @@ class LevenbergMarquardt(QuasiNewton):
     @torch.no_grad()
     def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
         count = max(min(_FEWEST_POINTS, self.points), round(share * self.points))
-        t = fresh_points(span, count, self._dtype, self._generator).to(self._device)
+        t = self._drawn(span, count)
         z, dz = self._trial(t)
-        rows = self._rows(t, z, dz)
-        rates = self._linearised(t, *self._slopes(t, z, dz))
+        rows = self._objective.rows(t, z, dz)
+        kind: Any = ModuleRates if isinstance(self._trial, ModuleTrial) else _Linearised
+        rates = kind(self._trial, t, *self._objective.slopes(t, z, dz))
         gram = rates.gram()
         # Rows in the order (component, point), as in the Gram matrix.
         residual = rows.T.reshape(-1)
@@ -116,31 +113,8 @@ class LevenbergMarquardt(QuasiNewton):
             self._failures += 1
         return square / count, float(dz.square().sum(-1).mean())
 
-    def _linearised(self, t: Tensor, in_z: Tensor, in_dz: Tensor) -> _Linearised | ModuleRates:
-        if isinstance(self._trial, ModuleTrial):
-            return ModuleRates(self._trial, t, in_z, in_dz)
-        return _Linearised(self._trial, self._trial.parts, t, in_z, in_dz)
-
-    def _rows(self, t: Tensor, z: Tensor, dz: Tensor) -> Tensor:
-        return (self._objective.rows or self._objective.residual)(t, z, dz)
-
-    def _slopes(self, t: Tensor, z: Tensor, dz: Tensor) -> tuple[Tensor, Tensor]:
-        if self._objective.slopes is not None:
-            return self._objective.slopes(t, z, dz)
-        with torch.enable_grad():
-            z, dz = z.requires_grad_(), dz.requires_grad_()
-            rows = self._rows(t, z, dz)
-            pairs = [
-                torch.autograd.grad(
-                    rows[:, i].sum(), (z, dz), retain_graph=True, materialize_grads=True
-                )
-                for i in range(rows.shape[1])
-            ]
-        in_z, in_dz = zip(*pairs, strict=True)
-        return torch.stack(in_z, 1), torch.stack(in_dz, 1)
-
     def _residual(self, t: Tensor) -> Tensor:
-        return self._rows(t, *self._trial(t)).T.reshape(-1)
+        return self._objective.rows(t, *self._trial(t)).T.reshape(-1)
 
     def _move(self, start: list[Tensor], step: list[Tensor], length: float) -> None:
         for weights, first, part in zip(self._weights, start, step, strict=True):
@@ -158,14 +132,8 @@ def _norm(parts: list[Tensor]) -> float:
 class _Linearised:
     """Products with the derivative J of the rows (component, point) in the weights."""
 
-    def __init__(
-        self,
-        trial: TrialSolution,
-        networks: list[Network],
-        t: Tensor,
-        in_z: Tensor,
-        in_dz: Tensor,
-    ) -> None:
+    def __init__(self, trial: TrialSolution, t: Tensor, in_z: Tensor, in_dz: Tensor) -> None:
+        networks = trial.parts
         self._to_value, self._to_rate = trial.to_network(t, in_z, in_dz)
         s = trial.envelope_at(t)[0].unsqueeze(1)
         ones = torch.ones_like(s)

@@ -29,7 +29,7 @@ from hamsym.networks.network import ComponentNetworks, Network
 from hamsym.networks.objective import Objective, Regularizer
 from hamsym.networks.progress import training_progress
 from hamsym.networks.record import Stopped, Training
-from hamsym.networks.rules import Criterion, Stages, Stopping
+from hamsym.networks.rules import Stages
 from hamsym.networks.self_scaled_broyden import SelfScaledBroyden
 from hamsym.networks.training import train
 from hamsym.networks.trial import TrialSolution
@@ -39,7 +39,12 @@ from hamsym.solution.discontinuities import first_jump, unresolved
 from hamsym.solution.settings import Settings
 from hamsym.solution.solution import Solution
 
-_DTYPES = {"float32": torch.float32, "float64": torch.float64}
+_OPTIMIZERS: dict[type[JointTraining], type[optimizers.Optimizer]] = {
+    Adam: optimizers.Adam,
+    LBFGS: optimizers.LBFGS,
+    SSBroyden: SelfScaledBroyden,
+    LevenbergMarquardt: levenberg_marquardt.LevenbergMarquardt,
+}
 # Largest input of the network for methods of second order, on any span.
 _INPUT_RANGE = 4 * math.pi
 _STALLED_AFTER = 60  # iterations of Levenberg-Marquardt on one span
@@ -57,7 +62,7 @@ def solve_by_training(problem: InitialValueProblem, method: JointTraining) -> So
             "[Regularizer(weight, function)]"
         )
     tau = abs(end - start) / _INPUT_RANGE if method.tau is None else method.tau
-    precision = _DTYPES[str(method.dtype)]
+    precision: torch.dtype = getattr(torch, str(method.dtype))
     device = available_device(method.device, precision)
     # Random numbers are drawn on the CPU, so that a seed means the same on every device.
     generator = torch.Generator("cpu").manual_seed(problem.seed)
@@ -94,21 +99,18 @@ def solve_by_training(problem: InitialValueProblem, method: JointTraining) -> So
             energy_weight=method.energy_weight,
         )
 
-    stopping = _stopping(problem, method, solution)
-    with training_progress(method.total, problem.progress) as callbacks:
+    objective = _objective(H, _penalties(problem, method), tuple(method.regularizers))
+    optimizer = next(own for kind, own in _OPTIMIZERS.items() if isinstance(method, kind))
+    with training_progress(method.total, problem.progress) as tell:
         training = train(
             trial,
-            _objective(
-                H,
-                _penalties(problem, method),
-                tuple(method.regularizers),
-            ),
+            objective,
             problem.span,
-            _optimizer(method),
-            stopping,
+            optimizer(method),
             generator=generator,
             stages=_stages(method, trial),
-            callbacks=callbacks,
+            criteria=_criteria(problem, method, solution),
+            tell=tell,
         )
     trial.requires_grad_(False).to("cpu")
     if isinstance(trial, TrialSolution):
@@ -116,30 +118,21 @@ def solve_by_training(problem: InitialValueProblem, method: JointTraining) -> So
     return _judged(solution(training), training, method)
 
 
-def _stopping(
+def _criteria(
     problem: InitialValueProblem, method: JointTraining, solution: Callable[[Training], Solution]
-) -> Stopping:
-    """Return the rules for stopping; criteria judge the solution with the best weights so far."""
-    criteria = []
+) -> dict[str, Callable[[Training], bool]]:
+    """Return the rules for stopping that judge the solution with the best weights so far."""
+    criteria: dict[str, Callable[[Training], bool]] = {}
     if problem.tol_given:
-        criteria.append(
-            Criterion(Stopped.TOLERANCE, lambda _, record: excess(solution(record)) <= 1)
-        )
+        criteria[Stopped.TOLERANCE] = lambda record: excess(solution(record)) <= 1
     if (accuracy := method.accuracy) is not None:
 
-        def is_accurate(_: Any, record: Training) -> bool:
+        def is_accurate(record: Training) -> bool:
             found = solution(record)  # by the paper's rule for stopping
             return found.ell_max_regularized <= found.sigma_min * accuracy
 
-        criteria.append(Criterion(Stopped.ACCURACY, is_accurate))
-    return Stopping(
-        iterations=method.total,
-        target_loss=method.target_loss,
-        target_ell_max=method.target_ell_max,
-        patience=method.patience,
-        time_limit=method.time_limit,
-        criteria=tuple(criteria),
-    )
+        criteria[Stopped.ACCURACY] = is_accurate
+    return criteria
 
 
 @dataclass(frozen=True)
@@ -202,7 +195,7 @@ def _objective(
             in_dz = torch.cat((in_dz, torch.zeros_like(own)), 1)
         return in_z, in_dz
 
-    return Objective(residual, loss, regularizers, rows, slopes)
+    return Objective(residual, loss, rows, slopes, regularizers)
 
 
 def _network(
@@ -309,25 +302,6 @@ def _rates_agree(solution: Solution, trial: ModuleTrial) -> bool:
     """Return whether dz^/dt, from which errors are estimated, is the derivative of z^."""
     allowed = 0.1 * solution.largest_error + 1e-8 * np.abs(solution(solution.scan_times)).max()
     return bool((rate_defect(trial, solution.span) <= allowed).all())
-
-
-def _optimizer(method: JointTraining) -> optimizers.Optimizer:
-    points = int(method.points)
-    match method:
-        case Adam():
-            return optimizers.Adam(
-                learning_rate=method.learning_rate,
-                betas=method.betas,
-                schedule=method.schedule,
-                points=points,
-                noise=method.noise,
-            )
-        case LBFGS():
-            return optimizers.LBFGS(points=points)
-        case SSBroyden():
-            return SelfScaledBroyden(points=points)
-        case _:
-            return levenberg_marquardt.LevenbergMarquardt(points=points)
 
 
 def _stages(method: JointTraining, trial: TrialSolution | ModuleTrial) -> Stages:

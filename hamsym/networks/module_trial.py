@@ -8,7 +8,7 @@ is tested again before an error is estimated from it.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NoReturn
 
 import numpy as np
@@ -52,22 +52,6 @@ class ModuleTrial(EnvelopedNetwork):
                 f"trial cannot be evaluated {where}: {one_line(error)}; "
                 "register its constant tensors as buffers"
             ) from error
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _restored, (self.network, self.z0, self.t0, self.tau, self.envelope, self.held)
-
-
-def _restored(
-    network: torch.nn.Module,
-    z0: Tensor,
-    t0: float,
-    tau: float,
-    envelope: str,
-    held: Sequence[int] = (),
-) -> ModuleTrial:
-    trial = ModuleTrial(network, z0, t0=t0, tau=tau, envelope=envelope)
-    trial.hold(held)
-    return trial
 
 
 def _with_rate(network: Callable[[Tensor], Tensor], s: Tensor) -> tuple[Tensor, Tensor]:

@@ -141,8 +141,8 @@ class Network(torch.nn.Module):
         dtype: torch.dtype = torch.float64,
     ) -> None:
         super().__init__()
+        require_known(activation, ACTIVATIONS, "an activation")
         self.activation, self.frequency = activation, frequency
-        self._activation = chosen(activation, ACTIVATIONS, "activation")
         require_widths(hidden)
         self.sizes = (1, *hidden, outputs)
         count = weights_of(self.sizes)
@@ -175,15 +175,16 @@ class Network(torch.nn.Module):
 
     def forward(self, s: Tensor) -> tuple[Tensor, Tensor]:
         """Return N(s) and dN/ds for s of shape (K,); each of shape (K, outputs)."""
+        activation = ACTIVATIONS[self.activation]
         if has_explicit_gradient(self.theta, s):
-            value, rate = _Jet.apply(self._activation, self.sizes, s, self.theta)
+            value, rate = _Jet.apply(activation, self.sizes, s, self.theta)
             return value, rate
         *hidden, (last, last_bias) = self.layers
         h, h_dot = s.unsqueeze(-1), torch.ones_like(s).unsqueeze(-1)
         for matrix, bias in hidden:
             a = torch.nn.functional.linear(h, matrix, bias)
-            h = self._activation.value(a)
-            h_dot = self._activation.slope(a, h) * (h_dot @ matrix.T)
+            h = activation.value(a)
+            h_dot = activation.slope(a, h) * (h_dot @ matrix.T)
         return torch.nn.functional.linear(h, last, last_bias), h_dot @ last.T
 
 
@@ -209,9 +210,3 @@ def weights_of(sizes: Sequence[int]) -> int:
 def has_explicit_gradient(weights: Tensor, s: Tensor) -> bool:
     """Return whether only the gradient in the weights is needed, which has an explicit form."""
     return torch.is_grad_enabled() and weights.requires_grad and not s.requires_grad
-
-
-def chosen(name: str, table: dict[str, Any], kind: str) -> Any:
-    """Return an entry of a table by name, or raise InputError."""
-    require_known(name, table, f"an {kind}")
-    return table[name]

@@ -60,23 +60,18 @@ class Objective:
 
     #: (t, z, dz) -> shape (K, dim), zero on a solution.
     residual: Callable[[Tensor, Tensor, Tensor], Tensor]
-    #: (t, z, dz) -> scalar; by default the mean over points of the squared 2-norm of the residual.
-    loss: Callable[[Tensor, Tensor, Tensor], Tensor] | None = None
+    #: (t, z, dz) -> scalar, without the regularizers.
+    loss: Callable[[Tensor, Tensor, Tensor], Tensor]
+    #: (t, z, dz) -> shape (K, m); the loss is the mean over the points of its squared 2-norm.
+    rows: Callable[[Tensor, Tensor, Tensor], Tensor]
+    #: (t, z, dz) -> derivatives of the rows in z and in dz, each of shape (K, m, dim).
+    slopes: Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
     #: Further terms.
     regularizers: tuple[Regularizer, ...] = ()
-    #: (t, z, dz) -> shape (K, m); the loss without regularizers is the mean of its squared 2-norm
-    #: over the points; by default the residual. For least-squares methods.
-    rows: Callable[[Tensor, Tensor, Tensor], Tensor] | None = None
-    #: (t, z, dz) -> derivatives of the rows in z and in dz, each of shape (K, m, dim); by default
-    #: from automatic differentiation.
-    slopes: Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]] | None = None
 
     def __call__(self, t: Tensor, z: Tensor, dz: Tensor) -> Tensor:
         """Return the loss with all its terms, a scalar."""
-        if self.loss is not None:
-            value = self.loss(t, z, dz)
-        else:
-            value = self.residual(t, z, dz).square().sum(-1).mean()
+        value = self.loss(t, z, dz)
         for term in self.regularizers:
             value = value + term.weight * term.function(t, z, dz).mean()
         return value

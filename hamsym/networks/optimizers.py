@@ -1,4 +1,4 @@
-"""What an optimizer does, and Adam and L-BFGS of torch."""
+"""What an optimizer does, its collocation points on the CPU, and Adam and L-BFGS of torch."""
 
 from __future__ import annotations
 
@@ -7,16 +7,20 @@ import math
 import torch
 from torch import Tensor
 
+from hamsym.networks import methods
 from hamsym.networks.objective import Objective
-from hamsym.networks.points import fresh_points, midpoints, points_between
-from hamsym.support.validation import require_whole
 
 
 class Optimizer:
-    """An optimizer that changes the weights, one iteration at a time."""
+    """An optimizer that changes the weights, one iteration at a time, with the options of a method.
 
-    points: int
-    check_every: int  # iterations between evaluations at the fixed points
+    - check_every: Iterations between evaluations at the fixed points.
+    """
+
+    check_every: int
+
+    def __init__(self, method: methods.JointTraining) -> None:
+        self.method, self.points = method, int(method.points)
 
     def bind(
         self, trial: torch.nn.Module, objective: Objective, generator: torch.Generator
@@ -56,36 +60,18 @@ class Adam(Optimizer):
     """Adam (Kingma & Ba 2015) on noisy points, as in the paper.
 
     Each iteration moves the collocation points by Gaussian noise, reflected into the span, so
-    that the equation is enforced everywhere and not at K points only.
-
-    - betas: Decay rates of the moment estimates.
-    - schedule: {"constant", "cosine"}. Constant learning rate, as in the paper, or decay to zero
-      along half a cosine.
-    - points: Collocation points K, equally spaced over the span.
-    - noise: Standard deviation of the noise, in units of time; by default three times the spacing
-      of the points, as in the paper.
+    that the equation is enforced everywhere and not at K points only. The learning rate is
+    constant, as in the paper, or decays to zero along half a cosine.
     """
 
+    method: methods.Adam
     check_every = 50
-
-    def __init__(
-        self,
-        *,
-        learning_rate: float = 8e-3,
-        betas: tuple[float, float] = (0.9, 0.999),
-        schedule: str = "cosine",
-        points: int = 200,
-        noise: float | None = None,
-    ) -> None:
-        require_whole("points", points, 2)
-        self.learning_rate, self.betas, self.schedule = learning_rate, betas, schedule
-        self.points, self.noise = points, noise
 
     def reset(self) -> None:
         self._adam = torch.optim.Adam(
             self._parameters,
-            lr=self.learning_rate,
-            betas=self.betas,
+            lr=self.method.learning_rate,
+            betas=self.method.betas,
             fused=self._device.type in ("cpu", "cuda") or None,
         )
 
@@ -94,8 +80,8 @@ class Adam(Optimizer):
         return midpoints(span, 2 * self.points, self._dtype).to(self._device)
 
     def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
-        if self.schedule == "cosine":
-            rate = self.learning_rate * (1 + math.cos(math.pi * done)) / 2
+        if self.method.schedule == "cosine":
+            rate = self.method.learning_rate * (1 + math.cos(math.pi * done)) / 2
             self._adam.param_groups[0]["lr"] = rate
         t = self._noisy_points(min(span), max(span)).to(self._device)
         self._adam.zero_grad(set_to_none=True)
@@ -109,8 +95,9 @@ class Adam(Optimizer):
     def _noisy_points(self, start: float, end: float) -> Tensor:
         """Return the points of an epoch, on the CPU."""
         points = torch.linspace(start, end, self.points, dtype=self._dtype, device="cpu")
-        length = end - start
-        noise = 3 * length / (self.points - 1) if self.noise is None else self.noise
+        length, noise = end - start, self.method.noise
+        if noise is None:
+            noise = 3 * length / (self.points - 1)
         if not noise:
             return points
         moved = torch.randn(
@@ -125,6 +112,7 @@ class QuasiNewton(Optimizer):
     """Common part of methods that stall after some failures in a row and draw random points."""
 
     check_every = 10
+    refresh = 200  # iterations after which new points are drawn
     _PATIENCE = 5  # restarts in a row without a step that count as a stall
     _failures: int
 
@@ -137,9 +125,10 @@ class QuasiNewton(Optimizer):
         """Return midpoints between twice as many points of the same density."""
         return points_between(span, self.points, self._dtype).to(self._device)
 
-    def _drawn(self, span: tuple[float, float]) -> Tensor:
-        """Return new random points."""
-        return fresh_points(span, self.points, self._dtype, self._generator).to(self._device)
+    def _drawn(self, span: tuple[float, float], count: int | None = None) -> Tensor:
+        """Return new random points, by default K."""
+        t = fresh_points(span, count or self.points, self._dtype, self._generator)
+        return t.to(self._device)
 
 
 class LBFGS(QuasiNewton):
@@ -148,22 +137,10 @@ class LBFGS(QuasiNewton):
     The points are constant while the curvature pairs are in use. New points are drawn, and the
     pairs discarded, after ``refresh`` iterations and whenever the line search fails.
 
-    - points: Collocation points K.
     - memory: Number of pairs of steps and gradient changes.
-    - refresh: Iterations after which new points are drawn.
     """
 
-    def __init__(
-        self,
-        *,
-        points: int = 200,
-        memory: int = 50,
-        refresh: int = 200,
-    ) -> None:
-        require_whole("points", points, 2)
-        require_whole("memory", memory, 1)
-        require_whole("refresh", refresh, 1)
-        self.points, self.memory, self.refresh = points, memory, refresh
+    memory = 50
 
     def reset(self) -> None:
         self._lbfgs = torch.optim.LBFGS(
@@ -205,3 +182,42 @@ class LBFGS(QuasiNewton):
             self._failures += 1
             self._t = None
         return loss, motion
+
+
+# -- collocation points ---------------------------------------------------------------------------
+
+
+def midpoints(span: tuple[float, float], count: int, dtype: torch.dtype) -> Tensor:
+    """Return the midpoints of equal cells of a span, shape (count,)."""
+    return min(span) + _cells(count, dtype) * abs(span[1] - span[0])
+
+
+def fresh_points(
+    span: tuple[float, float], count: int, dtype: torch.dtype, generator: torch.Generator
+) -> Tensor:
+    """Return random times, one in each of ``count`` cells of a span, and both its ends."""
+    u = (
+        torch.arange(count, dtype=dtype, device="cpu")
+        + torch.rand(count, generator=generator, dtype=dtype, device="cpu")
+    ) / count
+    u[0], u[-1] = 0.0, 1.0
+    return _spread(span, u)
+
+
+def points_between(span: tuple[float, float], count: int, dtype: torch.dtype) -> Tensor:
+    """Return the midpoints of 2 count + 1 cells with the density of :func:`fresh_points`."""
+    return _spread(span, _cells(2 * count + 1, dtype))
+
+
+def _spread(span: tuple[float, float], u: Tensor) -> Tensor:
+    """Map u in [0, 1] to times that are denser at both ends, between uniform and Chebyshev points.
+
+    A residual that is large at the start offsets the whole trajectory.
+    """
+    start, end = span
+    s = 0.5 * u + 0.25 * (1 - torch.cos(math.pi * u))
+    return start + s * (end - start)
+
+
+def _cells(count: int, dtype: torch.dtype) -> Tensor:
+    return (torch.arange(count, dtype=dtype, device="cpu") + 0.5) / count

@@ -12,15 +12,15 @@ from hamsym.support.progress import stepping_progress
 @contextmanager
 def training_progress(
     iterations: int, show: bool | Callable[[TrainingState], None] | None = None
-) -> Iterator[list[Callable[[TrainingState], None]]]:
-    """Yield the callbacks that draw loss, ell_max and the time left on standard error.
+) -> Iterator[Callable[[TrainingState], None]]:
+    """Yield a function that draws loss, ell_max and the time left on standard error.
 
     - iterations: Largest number of iterations.
     - show: By default the bar is drawn if standard error is a terminal, and in notebooks. A
       callable replaces the bar.
     """
     if callable(show):
-        yield [show]
+        yield show
         return
     with stepping_progress(iterations, show, "training") as advance:
         done = 0
@@ -31,4 +31,4 @@ def training_progress(
             advance(state.iteration - done, note)
             done = state.iteration
 
-        yield [update]
+        yield update

@@ -87,8 +87,7 @@ class Training:
     best_loss, best_ell_max : float
         Loss and largest residual of the best weights at the fixed points.
     stopped : str
-        Reason for which the training ended: a value of :class:`Stopped`, or the name of a
-        :class:`~hamsym.networks.rules.Criterion`.
+        Reason for which the training ended: a value of :class:`Stopped`.
     seconds, cpu_seconds : float
         Wall and processor time.
     """

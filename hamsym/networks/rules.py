@@ -3,86 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
-import torch
-
-from hamsym.networks.record import Stopped, Training
-from hamsym.support.validation import require_positive, require_whole
-
-
-@dataclass
-class Progress:
-    """Counters and levels of a training."""
-
-    #: iteration, stage, in_stage, restarts, improved: Iterations done, the current stage from 1,
-    #: iterations in it, restarts, and the iteration of the best loss.
-    iteration: int = 0
-    stage: int = 1
-    in_stage: int = 0
-    restarts: int = 0
-    improved: int = 0
-    #: best_loss, best_ell_max: Of the best weights, at the fixed points.
-    best_loss: float = math.inf
-    best_ell_max: float = math.inf
-    #: Lowest loss in this stage at the optimizer's points.
-    lowest: float = math.inf
-    #: Best loss when the criteria were last evaluated.
-    judged: float = math.inf
-    seconds: float = 0.0
-    cpu_seconds: float = 0.0
-
-
-@dataclass(frozen=True)
-class Criterion:
-    """A rule for stopping that evaluates the trial solution when the loss has quartered."""
-
-    name: str
-    #: (trial solution with the best weights, record of the training so far) -> bool.
-    is_met: Callable[[torch.nn.Module, Training], bool]
-
-
-@dataclass(frozen=True)
-class Stopping:
-    """Rules for stopping; the first that is met ends the training."""
-
-    #: Largest number of iterations.
-    iterations: int
-    #: Largest loss at the fixed points.
-    target_loss: float | None = None
-    #: Largest residual at the fixed points.
-    target_ell_max: float | None = None
-    #: Iterations without a lower loss at the fixed points.
-    patience: int | None = None
-    #: Seconds.
-    time_limit: float | None = None
-    criteria: tuple[Criterion, ...] = ()
-
-    def __post_init__(self) -> None:
-        require_whole("iterations", self.iterations, 1)
-        if self.patience is not None:
-            require_whole("patience", self.patience, 1)
-        for name in ("target_loss", "target_ell_max", "time_limit"):
-            if getattr(self, name) is not None:
-                require_positive(name, getattr(self, name))
-
-    def target_reached(self, progress: Progress) -> Stopped | None:
-        """Return the target that the best weights reach, if any."""
-        if self.target_loss is not None and progress.best_loss <= self.target_loss:
-            return Stopped.TARGET_LOSS
-        if self.target_ell_max is not None and progress.best_ell_max <= self.target_ell_max:
-            return Stopped.TARGET_ELL_MAX
-        return None
-
-    def limit_reached(self, progress: Progress, last_stage: bool) -> Stopped | None:
-        """Return the limit of time or patience that is reached, if any."""
-        if self.time_limit is not None and progress.seconds >= self.time_limit:
-            return Stopped.TIME_LIMIT
-        waited = min(progress.iteration - progress.improved, progress.in_stage)
-        if self.patience is not None and last_stage and waited >= self.patience:
-            return Stopped.PATIENCE
-        return None
+from hamsym.networks.methods import JointTraining
+from hamsym.networks.record import Stopped
 
 
 @dataclass(frozen=True)
@@ -100,26 +24,37 @@ class Stages:
     #: Largest number of such restarts.
     restarts: int = 10
 
-    def __post_init__(self) -> None:
-        require_whole("stages", self.count, 1)
-        require_whole("restarts", self.restarts, 0)
-        if self.restart_after is not None:
-            require_whole("restart_after", self.restart_after, 1)
 
+@dataclass
+class Course:
+    """Where a training is: counters, levels, and the current stage with the rules for its end."""
 
-class StageSchedule:
-    """The current stage of a training and the rules by which it ends."""
-
-    def __init__(
-        self, stages: Stages, span: tuple[float, float], iterations: int, progress: Progress
-    ) -> None:
-        self.stages, self.whole, self.iterations = stages, span, iterations
-        self.progress = progress
+    stages: Stages
+    #: Start and end of the last stage.
+    whole: tuple[float, float]
+    #: Largest number of iterations.
+    iterations: int
+    #: iteration, stage, in_stage, restarts, improved: Iterations done, the current stage from 1,
+    #: iterations in it, restarts, and the iteration of the best loss.
+    iteration: int = 0
+    stage: int = 1
+    in_stage: int = 0
+    restarts: int = 0
+    improved: int = 0
+    #: best_loss, best_ell_max: Of the best weights, at the fixed points.
+    best_loss: float = math.inf
+    best_ell_max: float = math.inf
+    #: Lowest loss in this stage at the optimizer's points.
+    lowest: float = math.inf
+    #: Best loss when the criteria were last evaluated.
+    judged: float = math.inf
+    seconds: float = 0.0
+    cpu_seconds: float = 0.0
 
     @property
     def share(self) -> float:
         """Fraction of the span that the current stage trains on."""
-        return self.progress.stage / self.stages.count
+        return self.stage / self.stages.count
 
     @property
     def span(self) -> tuple[float, float]:
@@ -130,38 +65,57 @@ class StageSchedule:
     @property
     def is_last(self) -> bool:
         """Whether the current stage trains on the whole span."""
-        return self.progress.stage == self.stages.count
+        return self.stage == self.stages.count
 
     @property
     def is_exhausted(self) -> bool:
         """Whether the iterations after which the training restarts are used up."""
         limit = self.stages.restart_after
-        return limit is not None and self.progress.in_stage >= limit
+        return limit is not None and self.in_stage >= limit
 
     def is_passed(self, loss: float, motion: float) -> bool:
         """Whether the next stage begins, by the loss and the mean square of dz/dt."""
-        progress, stages = self.progress, self.stages
+        stages = self.stages
         if loss <= stages.residual**2 * motion:
             return True
         # The remaining stages share the remaining iterations.
-        before = progress.iteration - progress.in_stage
-        share = (self.iterations - before) / (stages.count - progress.stage + 1)
-        return stages.restart_after is None and progress.in_stage >= share
+        before = self.iteration - self.in_stage
+        share = (self.iterations - before) / (stages.count - self.stage + 1)
+        return stages.restart_after is None and self.in_stage >= share
 
     def advance(self) -> None:
         """Begin the next stage."""
-        self._begin(self.progress.stage + 1)
+        self._begin(self.stage + 1)
 
     def can_restart(self) -> bool:
         """Whether a restart with new weights is allowed."""
         stages = self.stages
-        return stages.restart_after is not None and self.progress.restarts < stages.restarts
+        return stages.restart_after is not None and self.restarts < stages.restarts
 
     def restart(self) -> None:
         """Begin the first stage again."""
-        self.progress.restarts += 1
+        self.restarts += 1
         self._begin(1)
 
     def _begin(self, stage: int) -> None:
-        self.progress.stage, self.progress.in_stage = stage, 0
-        self.progress.lowest = math.inf
+        self.stage, self.in_stage = stage, 0
+        self.lowest = math.inf
+
+
+def target_reached(method: JointTraining, course: Course) -> Stopped | None:
+    """Return the target that the best weights reach, if any."""
+    if method.target_loss is not None and course.best_loss <= method.target_loss:
+        return Stopped.TARGET_LOSS
+    if method.target_ell_max is not None and course.best_ell_max <= method.target_ell_max:
+        return Stopped.TARGET_ELL_MAX
+    return None
+
+
+def limit_reached(method: JointTraining, course: Course) -> Stopped | None:
+    """Return the limit of time or patience that is reached, if any."""
+    if method.time_limit is not None and course.seconds >= method.time_limit:
+        return Stopped.TIME_LIMIT
+    waited = min(course.iteration - course.improved, course.in_stage)
+    if method.patience is not None and course.is_last and waited >= method.patience:
+        return Stopped.PATIENCE
+    return None

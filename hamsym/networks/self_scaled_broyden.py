@@ -25,7 +25,6 @@ from torch.nn.utils import parameters_to_vector
 from hamsym.errors import InputError
 from hamsym.networks.objective import Objective
 from hamsym.networks.optimizers import QuasiNewton
-from hamsym.support.validation import require_whole
 
 _LARGEST = 20_000  # weights: the matrix takes 3.2 GB
 
@@ -102,15 +101,7 @@ class SelfScaledBroyden(QuasiNewton):
     and begins again where the line search fails.
 
     Raise InputError if the trial solution has more than 20,000 weights.
-
-    - points: Collocation points K.
-    - refresh: Iterations after which new points are drawn.
     """
-
-    def __init__(self, *, points: int = 200, refresh: int = 200) -> None:
-        require_whole("points", points, 2)
-        require_whole("refresh", refresh, 1)
-        self.points, self.refresh = points, refresh
 
     def bind(
         self, trial: torch.nn.Module, objective: Objective, generator: torch.Generator

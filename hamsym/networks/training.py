@@ -1,9 +1,9 @@
 """Training of trial solutions of any first-order equation; it does not depend on Hamiltonians.
 
 Input:  a trial solution t -> (z, dz/dt), an :class:`Objective` made of a residual function, a
-        loss and regularizers, a time span, an optimizer (:mod:`hamsym.networks.optimizers`,
-        :mod:`hamsym.networks.self_scaled_broyden`, :mod:`hamsym.networks.levenberg_marquardt`)
-        and rules for stopping.
+        loss and regularizers, a time span, and an optimizer (:mod:`hamsym.networks.optimizers`,
+        :mod:`hamsym.networks.self_scaled_broyden`, :mod:`hamsym.networks.levenberg_marquardt`),
+        whose method has rules for stopping.
 Output: the weights with the lowest loss at fixed points (left in the trial solution), and a
         :class:`~hamsym.networks.record.Training`.
 """
@@ -12,17 +12,18 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 
 import numpy as np
 import torch
+from torch import Tensor
 
-from hamsym.networks.best_weights import BestWeights
 from hamsym.networks.network import Network
 from hamsym.networks.objective import Objective
 from hamsym.networks.optimizers import Optimizer
 from hamsym.networks.record import History, Stopped, Training, TrainingState
-from hamsym.networks.rules import Progress, Stages, StageSchedule, Stopping
+from hamsym.networks.rules import Course, Stages, limit_reached, target_reached
 
 # Products of points and weights below this are no faster on two threads, which cost twice the CPU
 # time.
@@ -36,11 +37,11 @@ def train(
     objective: Objective,
     span: tuple[float, float],
     optimizer: Optimizer,
-    stopping: Stopping,
     *,
     generator: torch.Generator,
-    stages: Stages | None = None,
-    callbacks: Sequence[Callable[[TrainingState], None]] = (),
+    stages: Stages,
+    criteria: Mapping[str, Callable[[Training], bool]] | None = None,
+    tell: Callable[[TrainingState], None] = lambda state: None,
 ) -> Training:
     """Minimise an objective over a time span.
 
@@ -50,12 +51,45 @@ def train(
     - span: Start and end time; the end may be the smaller.
     - optimizer: An optimizer that was not used before.
     - generator: Source of all random numbers.
-    - stages: By default the whole span from the beginning.
-    - callbacks: Each is called with a :class:`TrainingState` after evaluations at the fixed points.
+    - criteria: Further rules for stopping by their names: each judges the trial solution, with the
+      best weights, and the record of the training so far, when the loss has quartered.
+    - tell: Called after evaluations at the fixed points.
     """
     optimizer.bind(trial, objective, generator)
-    run = _Run(trial, objective, span, optimizer, stopping, stages or Stages(), generator)
-    return run.through(callbacks)
+    run = _Run(trial, objective, span, optimizer, criteria or {}, stages, generator, tell)
+    return run.through()
+
+
+class BestWeights:
+    """The weights with the lowest loss so far, and the trial solution's current ones."""
+
+    def __init__(self, trial: torch.nn.Module) -> None:
+        self.parameters = list(trial.parameters())
+        self.keep()
+
+    def keep(self) -> None:
+        """Make the current weights the best ones."""
+        self.best = self.current()
+
+    def current(self) -> list[Tensor]:
+        """Return a copy of the current weights."""
+        return [parameter.detach().clone() for parameter in self.parameters]
+
+    @torch.no_grad()
+    def put(self, weights: list[Tensor]) -> None:
+        """Put weights into the trial solution."""
+        for parameter, value in zip(self.parameters, weights, strict=True):
+            parameter.copy_(value)
+
+    @contextmanager
+    def in_trial(self) -> Iterator[None]:
+        """Put the best weights into the trial solution for a while."""
+        current = self.current()
+        self.put(self.best)
+        try:
+            yield
+        finally:
+            self.put(current)
 
 
 class _Run:
@@ -67,20 +101,20 @@ class _Run:
         objective: Objective,
         span: tuple[float, float],
         optimizer: Optimizer,
-        stopping: Stopping,
+        criteria: Mapping[str, Callable[[Training], bool]],
         stages: Stages,
         generator: torch.Generator,
+        tell: Callable[[TrainingState], None],
     ) -> None:
-        self.trial, self.objective, self.generator = trial, objective, generator
-        self.optimizer, self.stopping = optimizer, stopping
+        self.trial, self.objective, self.generator, self.tell = trial, objective, generator, tell
+        self.optimizer, self.method, self.criteria = optimizer, optimizer.method, criteria
         self.fixed = optimizer.fixed_points(span)
         self.weights = BestWeights(trial)
-        self.progress = Progress()
-        self.schedule = StageSchedule(stages, span, stopping.iterations, self.progress)
+        self.course = Course(stages, span, self.method.total)
         self.losses: list[float] = []
         self.checks: list[tuple[int, float, float, float]] = []
 
-    def through(self, callbacks: Sequence[Callable[[TrainingState], None]]) -> Training:
+    def through(self) -> Training:
         """Train until a rule ends it."""
         threads = torch.get_num_threads()
         size = len(self.fixed) * sum(weights.numel() for weights in self.weights.parameters)
@@ -90,10 +124,10 @@ class _Run:
             if size < _ONE_THREAD:
                 torch.set_num_threads(1)
             while stopped is None:
-                if self.progress.iteration >= self.stopping.iterations:
+                if self.course.iteration >= self.method.total:
                     stopped = Stopped.ITERATIONS
                     break
-                stopped = self._iterate(callbacks)
+                stopped = self._iterate()
         except KeyboardInterrupt:
             stopped = Stopped.INTERRUPTED
         finally:
@@ -104,102 +138,92 @@ class _Run:
 
     def _record(self, stopped: str) -> Training:
         columns = np.array(self.checks, dtype=float).reshape(-1, 4).T
-        progress = self.progress
+        course = self.course
         return Training(
             history=History(np.array(self.losses), columns[0].astype(int), *columns[1:]),
             points=self.optimizer.points,
             iterations=len(self.losses),
-            restarts=progress.restarts,
-            best_loss=progress.best_loss,
-            best_ell_max=progress.best_ell_max,
+            restarts=course.restarts,
+            best_loss=course.best_loss,
+            best_ell_max=course.best_ell_max,
             stopped=stopped,
-            seconds=progress.seconds,
-            cpu_seconds=progress.cpu_seconds,
+            seconds=course.seconds,
+            cpu_seconds=course.cpu_seconds,
         )
 
-    def _iterate(self, callbacks: Sequence[Callable[[TrainingState], None]]) -> str | None:
+    def _iterate(self) -> str | None:
         """Perform one iteration; return the reason for which the training ends, if any."""
-        progress, schedule, total = self.progress, self.schedule, self.stopping.iterations
-        last_stage = schedule.is_last
-        loss, motion = self.optimizer.iterate(
-            schedule.span, schedule.share, progress.iteration / total
-        )
+        course, total = self.course, self.method.total
+        last_stage = course.is_last
+        loss, motion = self.optimizer.iterate(course.span, course.share, course.iteration / total)
         self.losses.append(loss)
-        progress.iteration += 1
-        progress.in_stage += 1
+        course.iteration += 1
+        course.in_stage += 1
         if not math.isfinite(loss):
             return self._restart(Stopped.DIVERGED)
-        is_record = loss < 0.9 * progress.lowest
-        progress.lowest = min(progress.lowest, loss)
+        is_record = loss < 0.9 * course.lowest
+        course.lowest = min(course.lowest, loss)
         if not last_stage:
-            if schedule.is_passed(loss, motion):
-                schedule.advance()
-            elif self.optimizer.stalled or schedule.is_exhausted:
+            if course.is_passed(loss, motion):
+                course.advance()
+            elif self.optimizer.stalled or course.is_exhausted:
                 return self._restart(Stopped.STALLED)
-        regular = progress.iteration % self.optimizer.check_every == 0
-        checked = regular or progress.iteration == total or (last_stage and is_record)
+        regular = course.iteration % self.optimizer.check_every == 0
+        checked = regular or course.iteration == total or (last_stage and is_record)
         if checked:
-            self._check(callbacks)
+            self._check()
             if (stopped := self._rule_met()) is not None:
                 return stopped
         if not last_stage:
             return None
         stalled = self.optimizer.stalled
-        poor = progress.best_loss > _POOR * motion
-        if poor and (stalled or (checked and schedule.is_exhausted)):
+        poor = course.best_loss > _POOR * motion
+        if poor and (stalled or (checked and course.is_exhausted)):
             return self._restart(Stopped.STALLED)
         return Stopped.STALLED if stalled else None
 
-    def _check(self, callbacks: Sequence[Callable[[TrainingState], None]]) -> None:
+    def _check(self) -> None:
         """Evaluate the current weights at the fixed points, and keep them if they are the best."""
-        progress = self.progress
+        course = self.course
         with torch.no_grad():
             z, dz = self.trial(self.fixed)
             loss = float(self.objective(self.fixed, z, dz))
             residual = self.objective.residual(self.fixed, z, dz)
             ell_max = float(residual.square().sum(-1).max().sqrt())
-        if loss < progress.best_loss:
-            progress.best_loss, progress.best_ell_max = loss, ell_max
-            progress.improved = progress.iteration
+        if loss < course.best_loss:
+            course.best_loss, course.best_ell_max = loss, ell_max
+            course.improved = course.iteration
             self.weights.keep()
         self._clock()
-        self.checks.append((progress.iteration, loss, ell_max, progress.seconds))
-        state = TrainingState(
-            iteration=progress.iteration,
-            iterations=self.stopping.iterations,
-            loss=loss,
-            best_loss=progress.best_loss,
-            ell_max=ell_max,
-            seconds=progress.seconds,
-        )
-        for callback in callbacks:
-            callback(state)
+        self.checks.append((course.iteration, loss, ell_max, course.seconds))
+        given = course.iteration, self.method.total, loss, course.best_loss, ell_max
+        self.tell(TrainingState(*given, course.seconds))
 
     def _rule_met(self) -> str | None:
         """Return the first rule that the best weights meet, if any."""
-        rules, progress = self.stopping, self.progress
-        if (target := rules.target_reached(progress)) is not None:
+        course = self.course
+        if (target := target_reached(self.method, course)) is not None:
             return target
-        if rules.criteria and progress.best_loss <= progress.judged / 4:
-            progress.judged = progress.best_loss
+        if self.criteria and course.best_loss <= course.judged / 4:
+            course.judged = course.best_loss
             record = self._record(Stopped.INTERRUPTED)
             with self.weights.in_trial():
-                met = [rule.name for rule in rules.criteria if rule.is_met(self.trial, record)]
+                met = [name for name, is_met in self.criteria.items() if is_met(record)]
             if met:
                 return met[0]
-        return rules.limit_reached(progress, self.schedule.is_last)
+        return limit_reached(self.method, course)
 
     def _restart(self, reason: Stopped) -> Stopped | None:
         """Restart with new weights, or end for this reason if no restart is left."""
-        if not self.schedule.can_restart():
+        if not self.course.can_restart():
             return reason
         for module in self.trial.modules():
             if isinstance(module, Network):
                 module.draw(self.generator)
         self.optimizer.reset()
-        self.schedule.restart()
+        self.course.restart()
         return None
 
     def _clock(self) -> None:
-        self.progress.seconds = time.perf_counter() - self.began
-        self.progress.cpu_seconds = time.process_time() - self.cpu_began
+        self.course.seconds = time.perf_counter() - self.began
+        self.course.cpu_seconds = time.process_time() - self.cpu_began

@@ -19,11 +19,11 @@ from torch import Tensor
 from hamsym.networks.network import (
     ComponentNetworks,
     Network,
-    chosen,
     has_explicit_gradient,
     weights_of,
 )
 from hamsym.support.record_fields import Array, convert
+from hamsym.support.suggestions import require_known
 
 
 def _exponential(s: Tensor) -> tuple[Tensor, Tensor]:
@@ -80,16 +80,16 @@ class EnvelopedNetwork(torch.nn.Module):
         envelope: str = "exponential",
     ) -> None:
         super().__init__()
+        require_known(envelope, ENVELOPES, "an envelope")
         self.network = network
         self.register_buffer("z0", z0)
         self.register_buffer("moving", None, persistent=False)
         self.t0, self.tau, self.envelope = float(t0), float(tau), envelope
-        self._envelope = chosen(envelope, ENVELOPES, "envelope")
 
     def envelope_at(self, t: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return s, f(s) and f'(s) at times t of shape (K,)."""
         s = (t - self.t0) / self.tau
-        return s, *self._envelope(s)
+        return s, *ENVELOPES[self.envelope](s)
 
     def hold(self, components: Sequence[int]) -> None:
         """Make components constant: their N is zero, for any weights."""
@@ -291,9 +291,6 @@ class TrialSolution(EnvelopedNetwork):
         )
         trial.requires_grad_(False)
         return trial
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return TrialSolution.of_data, (self.data,)
 
 
 convert(TrialSolution, NetworkData, lambda trial: trial.data, TrialSolution.of_data)

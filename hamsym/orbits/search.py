@@ -110,7 +110,7 @@ def _marched(
 
 def _states(path: March, times: np.ndarray) -> np.ndarray:
     """Evaluate a march, shape (n,) -> (n, dim)."""
-    return FeatureTrial.of_march(path, feature_basis(nodes=_MARCH_NODES)).states_at(times)
+    return FeatureTrial.of_march(path, feature_basis(nodes=_MARCH_NODES).series).states_at(times)
 
 
 def _longer(H: Hamiltonian) -> float:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.support.tables import data_set
 
 Columns = dict[str, np.ndarray]
 
@@ -37,16 +38,28 @@ def observed(
     return {found.text: found.values(z, t, own) for found in map(H.observable, names)}
 
 
-def observed_variable(
-    names: Sequence[Any], axes: Sequence[str], columns: Callable[[Sequence[Any]], Columns]
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the variable ``value`` of a dataset and the coordinate ``quantity``, if any are named.
+def dataset_of_states(
+    H: Hamiltonian,
+    axes: Sequence[str],
+    t: np.ndarray,
+    states: np.ndarray,
+    columns: Columns,
+    variables: Mapping[str, Any],
+    coordinates: Mapping[str, Any],
+    attributes: Mapping[str, Any],
+) -> Any:
+    """Make an ``xarray.Dataset`` of states, with formulas as the variable ``value`` if there are.
 
-    - axes: Of the arrays of the columns.
-    - columns: As :func:`observed`.
+    - axes: Of the members; the others are ``time``, ``component`` and ``quantity``.
+    - columns: The formulas, as of :func:`observed`.
+    - variables, coordinates: Further ones.
     """
-    if not names:
-        return {}, {}
-    found = columns(names)
-    values = np.stack(list(found.values()), axis=-1)
-    return {"value": ([*axes, "quantity"], values)}, {"quantity": list(found)}
+    along, value, quantity = [*axes, "time"], {}, {}
+    if columns:
+        values = np.stack(list(columns.values()), axis=-1)
+        value, quantity = {"value": ([*along, "quantity"], values)}, {"quantity": [*columns]}
+    return data_set(
+        {"state": ([*along, "component"], states), **variables, **value},
+        {"time": t, "component": list(H.names), **coordinates, **quantity},
+        attributes,
+    )

@@ -16,6 +16,7 @@ from hamsym.support.validation import require, require_positive, require_whole, 
 from hamsym.symbolic.switching import switch_times
 
 MAX_STEPS = 2**53
+_USUAL_STEPS = 20_000
 
 
 @dataclass(frozen=True)
@@ -122,13 +123,13 @@ def checked_span(span: tuple[float, float]) -> tuple[float, float]:
     return start, end
 
 
-def checked_steps(length: float, steps: int | None, dt: float | None, default: int = 20_000) -> int:
+def checked_steps(length: float, steps: int | None, dt: float | None) -> int:
     """Return the number of equal steps in a span of this length.
 
     Raise InputError if both are given, one is invalid, or the step is longer than the span.
     """
     if dt is None:
-        steps = default if steps is None else steps
+        steps = _USUAL_STEPS if steps is None else steps
         require_whole("steps", steps, 1, MAX_STEPS)
         return int(steps)
     if steps is not None:
@@ -145,17 +146,14 @@ def checked_steps(length: float, steps: int | None, dt: float | None, default: i
     return max(1, math.ceil(count * (1 - 1e-12)))
 
 
-#: Smallest tolerance that float64 allows.
-SMALLEST_TOL = 1e-12
-
-
-def checked_tol(tol: Any) -> float:
+def checked_tol(tol: Any, least: float = 1e-12) -> float:
     """Return a relative tolerance.
 
-    Raise InputError if it is not a number from 1e-12 to below 1.
+    Raise InputError if it is not a number from ``least``, by default what float64 allows, to below
+    1.
     """
-    number = isinstance(tol, (int, float, np.floating)) and SMALLEST_TOL <= tol < 1
-    require(bool(number), "tol", tol, f"a number from {SMALLEST_TOL:g} to below 1")
+    number = isinstance(tol, (int, float, np.floating)) and least <= tol < 1
+    require(bool(number), "tol", tol, f"a number from {least:g} to below 1")
     return float(tol)
 
 

@@ -297,7 +297,7 @@ def _resting(windows: March, flow: Flow) -> list[int]:
     still = np.flatnonzero(~windows.readouts.any(axis=(0, 1)))
     z = windows.states[0]
     # Numbers that are zero have no round-off.
-    return flow.resting(z, still) if flow.resting and z[still].any() else []
+    return flow.resting(z, still) if z[still].any() else []
 
 
 def _reason(windows: March, flow: Flow, window: int) -> str:

@@ -34,43 +34,30 @@ class Flow:
     #: (z, t) -> dF/dz, shape (n, dim, dim).
     jacobian: Callable[[np.ndarray, np.ndarray], np.ndarray]
     #: (z, t) -> H, shape (n,), where H is conserved and does not jump at the cut of an angle.
-    energy: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
+    energy: Callable[[np.ndarray, np.ndarray], np.ndarray] | None
     #: Whether the time does not occur.
-    autonomous: bool = False
+    autonomous: bool
     #: (z, candidates) -> those components of one state that keep exactly their values.
-    resting: Callable[[np.ndarray, np.ndarray], list[int]] | None = None
+    resting: Callable[[np.ndarray, np.ndarray], list[int]]
     #: Whether they have abs, sign, Min or Max of the state.
-    switched: bool = False
+    switched: bool
     #: Whether they have these, or Heaviside, of the time alone.
-    switched_in_time: bool = False
+    switched_in_time: bool
 
 
 @functools.lru_cache(maxsize=64)
 def flow_of(H: Hamiltonian) -> Flow:
     """Return the flow of H."""
-    system, form = H.compile("numpy"), H.real_equations
-
-    def vector_field(
-        z: np.ndarray, t: np.ndarray, parameters: np.ndarray | None = None
-    ) -> np.ndarray:
-        given = system.keywords(parameters)
-        return np.asarray(system.vector_field(*system.arguments(z, t), **given))
-
-    def jacobian(z: np.ndarray, t: np.ndarray) -> np.ndarray:
-        return np.asarray(system.jacobian(*system.arguments(z, t)))
-
-    def energy(z: np.ndarray, t: np.ndarray) -> np.ndarray:
-        return np.asarray(system.energy(*system.arguments(z, t)))
-
+    at, form = H.compile("numpy").at, H.real_equations
     return Flow(
         programs_of(form),
         np.array([H.parameters[name] for name in H.parameter_names], dtype=float),
         np.array([*form.stored_curvature], dtype=np.int64).reshape(-1, 2),
         not H.forces,
         is_short_polynomial(form),
-        vector_field,
-        jacobian,
-        energy=energy if form.has_conserved_values else None,
+        vector_field=functools.partial(at, "vector_field"),
+        jacobian=functools.partial(at, "jacobian"),
+        energy=functools.partial(at, "energy") if form.has_conserved_values else None,
         autonomous=H.time is None,
         resting=lambda z, candidates: form.resting(z.tolist(), candidates.tolist()),
         switched=has_switches(H),

@@ -157,6 +157,13 @@ class _Marching:
     def run(self) -> March:
         newton_windows, given, status = 0, False, loops.FULL
         reason = ""
+        progress = loops.Progress(  # of arrays that are updated in place
+            clock=self._clock,
+            counts=self._counts,
+            size=self._sizes,
+            tail=self._tail,
+            found=self._found,
+        )
         while status != loops.FINISHED and not reason:
             # The loop returns when it has no room: after a chunk its windows are checked.
             room = min(self._windows.room, max(self._checked + self._chunk, self._count))
@@ -164,7 +171,7 @@ class _Marching:
                 self._flow.programs,
                 self._basis.tables,
                 self._settings(),
-                self._progress(),
+                progress,
                 loops.Windows(*self._windows.part(0, room)),
                 given,
             )
@@ -216,15 +223,6 @@ class _Marching:
             floor=self._floors,
             sign=signs,
             parameters=self._flow.parameters,
-        )
-
-    def _progress(self) -> loops.Progress:
-        return loops.Progress(
-            clock=self._clock,
-            counts=self._counts,
-            size=self._sizes,
-            tail=self._tail,
-            found=self._found,
         )
 
     def _newton(self) -> bool:

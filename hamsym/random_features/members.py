@@ -22,7 +22,8 @@ import numpy as np
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.kernel import loops
 from hamsym.kernel.loops import Members, Shared, Span
-from hamsym.random_features.basis import FeatureBasis
+from hamsym.problems.problem import checked_atol, checked_tol, checked_window
+from hamsym.random_features.basis import FeatureBasis, feature_basis
 from hamsym.random_features.error_estimate import (
     ACCURACY,
     FEWEST,
@@ -33,25 +34,69 @@ from hamsym.random_features.error_estimate import (
     rows_of_signs,
     terms_of,
 )
+from hamsym.random_features.features import FEWEST_WINDOWS
 from hamsym.random_features.flow import Flow, flow_of
-from hamsym.random_features.march import node_signs, origin_of, shortest_window
+from hamsym.random_features.march import MAX_WINDOWS, node_signs, origin_of, shortest_window
 from hamsym.random_features.window_checks import HIDDEN, Pieces, WindowChecks, bound_tables
 from hamsym.random_features.windows import March
 from hamsym.solution.discontinuities import has_switches, has_time_switches
-from hamsym.solution.window_error import relative_tolerance
+from hamsym.solution.window_error import allowed_errors, relative_tolerance
 
 # Of the local tolerance from one march to the next: share of the allowed error at which it aims,
 # and limits of the step; below the smallest one residuals are round-off.
 MARGIN, LEAST_STEP, MOST_STEP, SMALLEST = 0.3, 1e-4, 0.3, 1e-13
+_SMALL_BASIS = 1e-10  # tolerance from which the small basis takes less time
+# Local tolerance of the first march, relative to the tolerance, and at most: longer windows take as
+# many evaluations each, and errors that grow need a second march.
+_LOCAL, _MOST_LOCAL = 0.1, 1e-8
 TIGHTER = 3.0  # least excess that marked windows count as
 _ROOM = 64  # windows for each member at first
 _LEAST_ROOM = 1_024  # windows of one call
 _MOST_ROOM = 2**21  # numbers in the readouts of one call
-MAX_WINDOWS = 50_000  # of one member; more are left to the general march
+_MOST_WINDOWS = 50_000  # of one member; more are left to the general march
 #: Memory of solutions of one member, by dimension, columns and places, for the next ones: to
 #: allocate it takes a tenth of a short march. So many are kept, for so many components at most.
 _SPARE: dict[tuple[int, int, int], Members] = {}
 _MOST_SPARE, _MOST_COMPONENTS = 4, 32
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Checked accuracy of a march."""
+
+    #: tol, local: Tolerance, and local tolerance of the first march.
+    tol: float
+    local: float
+    #: Absolute tolerance, shape (dim,).
+    absolute: np.ndarray
+    #: Longest window.
+    longest: float
+
+    def allowed(self, sizes: np.ndarray) -> np.ndarray:
+        """Return the allowed error of components of these computed sizes, shape (dim,)."""
+        return allowed_errors(self.tol, self.absolute, sizes)
+
+
+def checked_accuracy(
+    tol: float, atol: Any, max_window: float | None, span: tuple[float, float], dim: int
+) -> Accuracy:
+    """Check the accuracy of a march and its longest window.
+
+    Raise InputError if a value cannot be used.
+    """
+    tol, absolute = checked_tol(tol), checked_atol(atol, dim)
+    return Accuracy(
+        tol,
+        # The cost grows as a root of the accuracy: a margin is cheaper than a second march.
+        min(max(_LOCAL * tol, SMALLEST), _MOST_LOCAL),
+        np.array(absolute * dim if len(absolute) == 1 else absolute),
+        checked_window(max_window, span, abs(span[1] - span[0]) / FEWEST_WINDOWS, MAX_WINDOWS),
+    )
+
+
+def basis_for(seed: int, tol: float) -> FeatureBasis:
+    """Return the basis that reaches a tolerance in the least time."""
+    return feature_basis(seed, 16 if tol >= _SMALL_BASIS else 24)
 
 
 @dataclass(frozen=True)
@@ -89,32 +134,22 @@ class MemberSolver:
     """Solver of members of one Hamiltonian over one span.
 
     - H: With a value for every parameter; members may have others.
-    - tol, local: Relative tolerance, and the local one of the first march.
-    - atol: Absolute tolerance, shape (dim,).
-    - longest: Length that no window exceeds.
     """
 
     def __init__(
-        self,
-        H: Hamiltonian,
-        span: tuple[float, float],
-        tol: float,
-        local: float,
-        atol: np.ndarray,
-        longest: float,
-        basis: FeatureBasis,
+        self, H: Hamiltonian, span: tuple[float, float], accuracy: Accuracy, basis: FeatureBasis
     ) -> None:
         self.H, self.basis, self.origin = H, basis, origin_of(H.time is None, span)
         start, end = (time - self.origin for time in span)
-        self._flow, self._local = flow_of(H), local
-        self._shared = _shared(self._flow, basis, local)
+        self._flow, self._local = flow_of(H), accuracy.local
+        self._shared = _shared(self._flow, basis, accuracy.local)
         self._span = Span(
             start=start,
             end=end,
-            tolerance=relative_tolerance(tol),
-            longest=longest,
+            tolerance=relative_tolerance(accuracy.tol),
+            longest=accuracy.longest,
             shortest=shortest_window(start, end),
-            absolute=atol,
+            absolute=accuracy.absolute,
         )
         self._room = _ROOM
         self._places = self._shared.arrays["error_tables"].places
@@ -134,7 +169,7 @@ class MemberSolver:
             members = self._allocated(len(rest[0]), room)
             done = loops.solve_members(self._shared, self._span, *rest, members)
             if done == 0:  # one member does not fit
-                if room > MAX_WINDOWS:
+                if room > _MOST_WINDOWS:
                     members["count"][0], members["verdict"][0] = 0, loops.LEFT
                     members["excess"][0], members["evaluations"][0] = np.inf, 0
                     done = 1
@@ -156,7 +191,7 @@ class MemberSolver:
         room, key = _LEAST_ROOM, (self.H.dim, self.basis.series.shape[1], self._places)
         members = _SPARE.pop(key, None) or self._allocated(1, room, keep_error=True)
         while not loops.solve_members(self._shared, self._span, z0, parameters, members):
-            if room > MAX_WINDOWS:
+            if room > _MOST_WINDOWS:
                 return None
             room *= 4
             members = self._allocated(1, room, keep_error=True)
@@ -174,9 +209,18 @@ class MemberSolver:
             if len(_SPARE) >= _MOST_SPARE:
                 _SPARE.clear()
             _SPARE[key] = members
-        seconds = time.perf_counter() - wall, time.thread_time() - cpu
-        windows_of = edges, states, readouts
-        march = march_of(windows_of, sizes, evaluations, self.basis.seed, self.origin, seconds)
+        march = March(
+            edges=edges,
+            states=states,
+            readouts=readouts,
+            reached=self.origin + float(edges[-1]),
+            evaluations=evaluations,
+            scale=sizes,
+            seconds=time.perf_counter() - wall,
+            cpu_seconds=time.thread_time() - cpu,
+            seed=self.basis.seed,
+            origin=self.origin,
+        )
         origin = np.array(self.origin)
         return Solved(march, MarchError(edges, series, floors, largest, sizes, origin), excess)
 
@@ -278,30 +322,4 @@ def _shared(flow: Flow, basis: FeatureBasis, local: float) -> Shared:
         tighter=TIGHTER,
         accuracy=ACCURACY,
         fewest=FEWEST,
-    )
-
-
-def march_of(
-    windows: tuple[np.ndarray, np.ndarray, np.ndarray],
-    sizes: np.ndarray,
-    evaluations: int,
-    seed: int,
-    origin: float,
-    seconds: tuple[float, float],
-) -> March:
-    """Make the record of a march whose windows passed every check."""
-    edges, states, readouts = windows
-    return March(
-        edges=edges,
-        states=states,
-        readouts=readouts,
-        reached=origin + float(edges[-1]),
-        reason="",
-        evaluations=evaluations,
-        newton_windows=0,
-        scale=sizes,
-        seconds=seconds[0],
-        cpu_seconds=seconds[1],
-        seed=seed,
-        origin=origin,
     )

@@ -18,16 +18,12 @@ import numpy as np
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.scales import ratios
-from hamsym.problems.problem import InitialValueProblem, checked_atol, checked_tol, checked_window
-from hamsym.random_features.basis import FeatureBasis, feature_basis
-from hamsym.random_features.error_estimate import (
-    Estimate,
-    MarchError,
-    estimate_error,
-)
-from hamsym.random_features.features import FEWEST_WINDOWS, Features
+from hamsym.problems.problem import InitialValueProblem
+from hamsym.random_features.basis import FeatureBasis
+from hamsym.random_features.error_estimate import Estimate, MarchError, estimate_error
+from hamsym.random_features.features import Features
 from hamsym.random_features.flow import flow_of
-from hamsym.random_features.march import MAX_WINDOWS, REST, march
+from hamsym.random_features.march import REST, march
 from hamsym.random_features.members import (
     LEAST_STEP,
     MARGIN,
@@ -35,6 +31,8 @@ from hamsym.random_features.members import (
     SMALLEST,
     TIGHTER,
     MemberSolver,
+    basis_for,
+    checked_accuracy,
 )
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
@@ -43,55 +41,12 @@ from hamsym.solution.discontinuities import first_jump
 from hamsym.solution.settings import Settings
 from hamsym.solution.solution import Solution
 from hamsym.solution.times import shown_time
-from hamsym.solution.window_error import allowed_errors, relative_tolerance
+from hamsym.solution.window_error import relative_tolerance
 
-_SMALL_BASIS = 1e-10  # tolerance from which the small basis takes less time
-# Local tolerance of the first march, relative to the tolerance, and at most: longer windows take as
-# many evaluations each, and errors that grow need a second march.
-_LOCAL, _MOST_LOCAL = 0.1, 1e-8
 _ATTEMPTS = 6
 _LOOSER, _NEAR_ROUND_OFF = 4.0, 1e-11  # local tolerance of a march after one that is in doubt
 _MOST_NAMES = 6  # in a message
 _JUMP_SAMPLES = 25  # of a window, in the search for jumps of the force
-
-
-@dataclass(frozen=True)
-class Accuracy:
-    """Checked accuracy of a march."""
-
-    #: tol, local: Tolerance, and local tolerance of the first march.
-    tol: float
-    local: float
-    #: Absolute tolerance, shape (dim,).
-    absolute: np.ndarray
-    #: Longest window.
-    longest: float
-
-    def allowed(self, sizes: np.ndarray) -> np.ndarray:
-        """Return the allowed error of components of these computed sizes, shape (dim,)."""
-        return allowed_errors(self.tol, self.absolute, sizes)
-
-
-def checked_accuracy(
-    tol: float, atol: Any, max_window: float | None, span: tuple[float, float], dim: int
-) -> Accuracy:
-    """Check the accuracy of a march and its longest window.
-
-    Raise InputError if a value cannot be used.
-    """
-    tol, absolute = checked_tol(tol), checked_atol(atol, dim)
-    return Accuracy(
-        tol,
-        # The cost grows as a root of the accuracy: a margin is cheaper than a second march.
-        min(max(_LOCAL * tol, SMALLEST), _MOST_LOCAL),
-        np.array(absolute * dim if len(absolute) == 1 else absolute),
-        checked_window(max_window, span, abs(span[1] - span[0]) / FEWEST_WINDOWS, MAX_WINDOWS),
-    )
-
-
-def basis_for(seed: int, tol: float) -> FeatureBasis:
-    """Return the basis that reaches a tolerance in the least time."""
-    return feature_basis(seed, 16 if tol >= _SMALL_BASIS else 24)
 
 
 def solve_by_features(problem: InitialValueProblem, method: Features) -> Solution:
@@ -103,36 +58,13 @@ def solve_by_features(problem: InitialValueProblem, method: Features) -> Solutio
         flow = flow_of(H)
         if flow.energy is None:
             problem.require_finite()  # of its values a march sees none
-        solver = MemberSolver(
-            H, span, accuracy.tol, accuracy.local, accuracy.absolute, accuracy.longest, basis
-        )
-        found = solver.solve_one(problem.z0, flow.parameters)
+        found = MemberSolver(H, span, accuracy, basis).solve_one(problem.z0, flow.parameters)
         if found is not None:
             # The library judged it; to judge it here again takes 25 us, a fifth of a short solve.
             message = met_message(accuracy.tol, len(found.march.readouts), found.excess)
-            settings = Settings.of(problem, method)
-            return _solution_of(
-                *(H, problem.z0, found.march, basis, found.error, settings, Features.name),
-                *(True, message),
-            )
+            given = found.march, basis.series, found.error, Settings.of(problem, method)
+            return solution_of(H, problem.z0, *given, success=True, message=message)
     return solve_by_march(problem, method, basis)
-
-
-def accepted_march(
-    H: Hamiltonian,
-    z0: np.ndarray,
-    windows: March,
-    basis: FeatureBasis,
-    error: MarchError,
-    settings: Settings,
-    cause: str = "",
-) -> Solution:
-    """Make the solution of a march that the library has accepted.
-
-    - cause: Why its error may be found too large all the same.
-    """
-    found = _solution_of(H, z0, windows, basis, error, settings, Features.name)
-    return accepted(found, state_of(len(windows.readouts)), cause=cause)
 
 
 def met_message(tol: float, windows: int, excess: float) -> str:
@@ -145,29 +77,30 @@ def state_of(windows: int) -> str:
     return f"{windows:,} windows"
 
 
-def _solution_of(
+def solution_of(
     H: Hamiltonian,
     z0: np.ndarray,
     windows: March,
-    basis: FeatureBasis,
+    series: np.ndarray,
     error: MarchError,
     settings: Settings,
-    name: str,
-    success: bool = False,
-    message: str = "",
+    name: str = Features.name,
+    **verdict: Any,
 ) -> Solution:
-    """Make the solution of a march, by default before its verdict."""
+    """Make the solution of a march, by default before its verdict.
+
+    - series: Of the columns of its basis.
+    """
     return Solution(
         H,
         z0,
         (settings.span[0], windows.reached),
-        FeatureTrial.of_march(windows, basis),
+        FeatureTrial.of_march(windows, series),
         method=name,
         record=windows,
         settings=settings,
         error=error,
-        success=success,
-        message=message,
+        **verdict,
     )
 
 
@@ -196,7 +129,8 @@ def solve_by_march(problem: InitialValueProblem, method: Features, basis: Featur
                 break
             estimate = estimate_error(windows, basis, flow, local)
             error = estimate.error
-            solution = _solution_of(H, problem.z0, windows, basis, error, settings, method.name)
+            given = windows, basis.series, error, settings, method.name
+            solution = solution_of(H, problem.z0, *given)
             tried = _Attempt(windows, estimate, solution)
             if best is None or tried.is_better_than(best):
                 best = tried

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from hamsym.kernel.loops import Paths
-from hamsym.random_features.basis import DEGREE, FeatureBasis, rate_series
+from hamsym.random_features.basis import DEGREE, rate_series
 from hamsym.random_features.windows import March
 from hamsym.support.record_fields import fields_of, floats
 
@@ -37,10 +37,10 @@ class FeatureTrial:
     origin: Annotated[np.ndarray, floats()]
 
     @classmethod
-    def of_march(cls, windows: March, basis: FeatureBasis) -> FeatureTrial:
-        """Make the trial solution of the windows of a march."""
+    def of_march(cls, windows: March, series: np.ndarray) -> FeatureTrial:
+        """Make the trial solution of the windows of a march, from the series of its columns."""
         origin = np.array(windows.origin)
-        return cls(windows.edges, windows.states, windows.readouts, basis.series, origin)
+        return cls(windows.edges, windows.states, windows.readouts, series, origin)
 
     @property
     def dtype(self) -> np.dtype:

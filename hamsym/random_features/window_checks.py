@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -18,6 +19,7 @@ import numpy as np
 from hamsym.bounds.discs import decade_of, disc_tables
 from hamsym.bounds.models import DEGREE, NODES, PLACES, bounded, model_tables
 from hamsym.bounds.residual import (
+    ROUND_OFF,
     SHARE,
     Excess,
     ExcessSearch,
@@ -34,7 +36,6 @@ from hamsym.random_features.flow import Flow
 from hamsym.random_features.windows import Windows
 
 SLACK = 10.0  # times the residual that the march allows at its own places
-_ROUND_OFF = 256 * 2.0**-52  # of the residual, relative to the rates
 _NOISE = 8.0  # times the typical change of the rates for one unit in the last place of the states
 # Distance of places from the ends of their window, as in the march: units in the last place of the
 # time at least, and at most where that is a small share of the window.
@@ -81,11 +82,16 @@ class WindowChecks:
 
     def first_failure(self, windows: Windows, sizes: np.ndarray) -> Failure | None:
         """Check windows with components of these sizes; return None if all pass."""
-        found = self.unresolved(pieces_of(windows), sizes, first_only=True)
-        failure = None
-        if found:
-            first = found[0]
-            failure = Failure(first.window, [first.time], first.ratio, "the residual")
+        pieces, failure = pieces_of(windows), None
+        left = self._unbounded(pieces, sizes)
+        if len(left):
+            own = sizes if sizes.ndim == 1 else sizes[left]
+            some = Pieces(*(array[left] for array in pieces))
+            found = self.exceeding(some, own, self.flow.parameters, first_only=True)
+            if found:
+                first = found[0]
+                window = int(left[first.window])
+                failure = Failure(window, [first.time], first.ratio, "the residual")
         if self.flow.energy is not None:
             changes = self._energy_changes(windows, sizes)
             jumps = np.flatnonzero(~(changes[: failure.window if failure else None] <= 1))
@@ -94,26 +100,6 @@ class WindowChecks:
                 times = [self._energy_jump(windows, window)]
                 return Failure(window, times, float(changes[window]), "H")
         return failure
-
-    def unresolved(
-        self,
-        pieces: Pieces,
-        sizes: np.ndarray,
-        *,
-        first_only: bool = False,
-    ) -> list[Excess]:
-        """Find windows whose residual may be larger between the points of the march.
-
-        - sizes: Of the components, shape (dim,) or (windows, dim).
-        - first_only: Whether to search for the first of them only.
-        """
-        left = self._unbounded(pieces, sizes)
-        if not len(left):
-            return []
-        pieces = Pieces(*(array[left] for array in pieces))
-        sizes = sizes if sizes.ndim == 1 else sizes[left]
-        found = self.exceeding(pieces, sizes, self.flow.parameters, first_only=first_only)
-        return [excess._replace(window=int(left[excess.window])) for excess in found]
 
     def exceeding(
         self,
@@ -126,6 +112,7 @@ class WindowChecks:
         """Search windows, by halves, for those whose residual is larger between the points.
 
         - sizes, given: Sizes of components and values of parameters, for all or for each window.
+        - first_only: Whether to search for the first of them only.
         """
         limits = self._limits(pieces, sizes)
 
@@ -232,7 +219,7 @@ class WindowChecks:
         """Allowed integrals of the residual over windows, shape (windows, dim)."""
         lengths = np.abs(pieces.end - pieces.start)[:, None]
         largest = np.abs(self._at(pieces, Parts.whole(len(lengths)), NODES).rates).max(axis=1)
-        return np.asarray(self.tolerance * sizes + _ROUND_OFF * lengths * largest)
+        return np.asarray(self.tolerance * sizes + ROUND_OFF * lengths * largest)
 
     def _residuals(
         self, pieces: Pieces, parts: Parts, x: np.ndarray, given: np.ndarray
@@ -254,7 +241,7 @@ class WindowChecks:
         slopes = np.abs(np.roll(self.flow.vector_field(z, t), half, axis=1))
         slopes = np.maximum(slopes[:-1], slopes[1:])
         size = np.maximum(np.abs(z[:-1]), np.abs(z[1:]))
-        rounding = _ROUND_OFF * (np.abs(energies[:-1]) + (slopes * size).sum(axis=1))
+        rounding = ROUND_OFF * (np.abs(energies[:-1]) + (slopes * size).sum(axis=1))
         allowed = self.tolerance * (slopes * sizes).sum(axis=1) + rounding
         return largest_ratios(np.abs(np.diff(energies))[:, None], SLACK * allowed[:, None])
 
@@ -264,8 +251,9 @@ class WindowChecks:
         energy = self.flow.energy
 
         def values(s: np.ndarray) -> np.ndarray:
-            z, _, t = self._sampled(windows, np.full(len(s), index), s)
-            return energy(z, t)
+            parts = Parts(np.full(len(s), index), s, np.zeros(len(s)))
+            z, _, t = self._at(pieces_of(windows), parts, np.array([-1.0]))
+            return energy(z[:, 0], t[:, 0])
 
         s = np.concatenate(([0.0], collocation(_NODES).nodes, [1.0]))
         h = values(s)
@@ -295,19 +283,23 @@ class WindowChecks:
         t = times_of(pieces, parts, x)
         return Places(states[:, None] + z, rates / lengths[..., None], t)
 
-    def _sampled(
-        self, windows: Windows, window: np.ndarray, s: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Evaluate z^, dz^/dt and t at places s of windows, shapes (n, dim), (n, dim) and (n,)."""
-        parts = Parts(window, s, np.zeros(len(s)))
-        z, rates, t = self._at(pieces_of(windows), parts, np.array([-1.0]))
-        return z[:, 0], rates[:, 0], t[:, 0]
-
 
 def pieces_of(windows: Windows) -> Pieces:
     """Return windows that follow each other as pieces."""
     edges, states, readouts = windows
     return Pieces(edges[:-1], edges[1:], states[:-1], readouts)
+
+
+def places_of(
+    function: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    pieces: Pieces,
+    parts: Parts,
+    x: np.ndarray,
+) -> Places:
+    """Evaluate a function t -> (z^, dz^/dt) at places in [-1, 1] of parts of windows."""
+    t = times_of(pieces, parts, x)
+    z, rates = function(t.ravel())
+    return Places(z.reshape(*t.shape, -1), rates.reshape(*t.shape, -1), t)
 
 
 def times_of(pieces: Pieces, parts: Parts, x: np.ndarray) -> np.ndarray:

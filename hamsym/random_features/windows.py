@@ -7,6 +7,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
+from hamsym.numerics.windows import times_in_windows
 from hamsym.random_features.basis import size_of
 from hamsym.support.record_fields import Count, Size, floats
 
@@ -31,18 +32,18 @@ class March:
     readouts: Annotated[np.ndarray, floats("windows", "columns", "dim")] = field(repr=False)
     #: Time at which the last window ends.
     reached: float
-    #: Reason for ending before the end of the span, "" at its end.
-    reason: str
-    #: Calls of the vector field, each at all points of a window.
-    evaluations: Count
-    #: Windows for which Newton's method was needed.
-    newton_windows: Count
     #: Largest magnitude of each component.
     scale: Annotated[np.ndarray, floats("dim", least=0)] = field(repr=False)
-    seconds: Size
-    cpu_seconds: Size
+    #: Calls of the vector field, each at all points of a window.
+    evaluations: Count = 0
+    seconds: Size = 0.0
+    cpu_seconds: Size = 0.0
     #: Of the basis.
-    seed: Count
+    seed: Count = 0
+    #: Windows for which Newton's method was needed.
+    newton_windows: Count = 0
+    #: Reason for ending before the end of the span, "" at its end.
+    reason: str = ""
     #: Time from which the edges are counted: the start of the span, where H does not depend on time
     #: and differences to it are exact in float64, otherwise 0.
     origin: float = 0.0
@@ -88,6 +89,4 @@ class March:
 
     def times_in_windows(self, per_window: int) -> np.ndarray:
         """Return equally spaced times in each window, with its start, and the end."""
-        inside = np.linspace(0, 1, per_window, endpoint=False)
-        within = self.edges[:-1, None] + np.diff(self.edges)[:, None] * inside
-        return self.origin + np.append(within.ravel(), self.edges[-1])
+        return self.origin + times_in_windows(self.edges, per_window)

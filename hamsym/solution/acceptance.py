@@ -1,14 +1,19 @@
 """Acceptance of a solution: its estimated error is within the tolerance, without a doubt.
 
+Known invariants may refuse it afterwards.
+
 Input:  a solution whose error is estimated, and what a method found amiss.
 Output: the solution with its verdict and the reason.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from hamsym.numerics.scales import ratios
+from hamsym.problems.conservation import KnownInvariants
 from hamsym.solution.solution import Solution
 from hamsym.solution.times import shown_time
 
@@ -80,3 +85,16 @@ def accepted(
         return solution.judged(True, met(tol, state))
     end = shown_time(held(solution), *span)
     return solution.judged(False, f"tol {tol:.1e} met only until t = {end}: {cause}; {state}")
+
+
+def judged_by_invariants(solution: Solution, known: KnownInvariants) -> Solution:
+    """Return the solution with the drifts of known invariants, which may refuse it."""
+    times = solution.scan_times
+    change, explained = known.drifts(
+        solution.z0[None], solution.span[0], solution(times), times, solution.allowed_error
+    )
+    solution = replace(solution, invariant_drift=known.largest(change))
+    reason = known.verdict(change, explained)
+    if not reason or not solution.success:
+        return solution
+    return solution.judged(False, f"{reason}; {solution.message}")

@@ -45,17 +45,15 @@ def first_jump(
       tolerance.
     - returns: The kind of the discontinuity, its time and the remedy, for a message.
     """
-    direction = math.copysign(1.0, times[-1] - times[0])
     # Both searches find a jump of abs, sign, Min or Max; the first is more accurate.
     found = list(_symbolic_jumps(solution, times)) or list(_hidden_jumps(solution, suspects))
     if not found:
         return None
-    time, kind = min(found, key=lambda entry: direction * entry[0])
     remedy = "solve up to this time, and again from it"
     if solution.H.time is not None:
         remedy += ", or give the times at which t switches H as breakpoints"
-    shown = shown_time(time, times[0], times[-1])
-    return f"{kind} at t = {shown}, beyond which the error cannot be estimated; {remedy}"
+    first = _first(found, times[0], times[-1])
+    return f"{first}, beyond which the error cannot be estimated; {remedy}"
 
 
 def parameter_jump(solution: Solution, names: Sequence[str]) -> str | None:
@@ -82,13 +80,16 @@ def parameter_jump(solution: Solution, names: Sequence[str]) -> str | None:
     found = list(_symbolic_jumps(solution, times, tuple(names)))
     if not found:
         return None
-    direction = math.copysign(1.0, times[-1] - times[0])
-    time, kind = min(found, key=lambda entry: direction * entry[0])
-    shown = shown_time(time, *solution.span)
     return (
-        f"{kind} at t = {shown}, beyond which derivatives in parameters are not computed; solve "
-        "up to this time"
+        f"{_first(found, *solution.span)}, beyond which derivatives in parameters are not "
+        "computed; solve up to this time"
     )
+
+
+def _first(found: Sequence[tuple[float, str]], start: float, end: float) -> str:
+    """Describe the first of some jumps on the way from a start to an end."""
+    time, kind = min(found, key=lambda entry: math.copysign(1.0, end - start) * entry[0])
+    return f"{kind} at t = {shown_time(time, start, end)}"
 
 
 def unresolved(solution: Solution) -> list[tuple[float, float]]:

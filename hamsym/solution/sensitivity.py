@@ -13,13 +13,13 @@ equations are therefore also evaluated between the nodes, and windows are halved
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hamsym.numerics.collocation import chebyshev_values
 from hamsym.numerics.tangent_maps import TangentMaps
-from hamsym.numerics.windows import locate
+from hamsym.numerics.windows import located_basis
+from hamsym.solution.parameters import ParameterForcing
 
 if TYPE_CHECKING:
     from hamsym.solution.solution import Solution
@@ -34,33 +34,24 @@ _NOISE = 8  # times the measured effect of round-off is still round-off
 _SHORTEST = 1e-10  # of the span: windows that may keep a defect, as at a jump of the Hessian
 
 
-class Forcing(Protocol):
-    """J d(grad H)/dk for some parameters k; its length is their number."""
-
-    def __len__(self) -> int: ...
-
-    def __call__(self, z: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """Evaluate at states (n, dim) and times (n,), shape (n, dim, parameters)."""
-
-
 class Sensitivity:
     """The tangent map Phi(t) along a path, or the derivatives dz/dk with respect to parameters.
 
     Both are NaN from the first window on that has no solution, or needs too many windows.
 
     - units: Size of each component, positive, shape (dim,).
-    - edges: Ends of windows, counted from ``origin``; by default windows short enough for
+    - edges: Ends of windows, counted from ``origin``; with None windows short enough for
       polynomials are chosen by the size of J Hess.
-    - forcing: That of the parameters; by default there are none.
+    - forcing: That of the parameters; None for derivatives in the initial state.
     """
 
     def __init__(
         self,
         path: Solution,
         units: np.ndarray,
-        edges: np.ndarray | None = None,
-        origin: float = 0.0,
-        forcing: Forcing | None = None,
+        edges: np.ndarray | None,
+        origin: float,
+        forcing: ParameterForcing | None,
     ) -> None:
         self._path, self._units, self._origin, self._forcing = path, units, origin, forcing
         self._dim = len(units)
@@ -78,15 +69,14 @@ class Sensitivity:
         return np.concatenate(parts) * (self._units[:, None] / columns)
 
     def _values(self, t: np.ndarray) -> np.ndarray:
-        window, s = locate(self._edges, t - self._origin)
+        window, basis = located_basis(self._edges, t - self._origin, len(TangentMaps.nodes))
         values = np.empty((len(t), *self._starts.shape[1:]))
         for some in self._batches(np.unique(window)):
             here = np.isin(window, some)
             maps = self._maps(some)
             series = np.einsum("ln,inaw->wlia", maps.rule.to_series, maps.inside)
-            basis = chebyshev_values(np.clip(2 * s[here] - 1, -1, 1), len(maps.nodes))
             place = np.searchsorted(some, window[here])
-            inside = np.einsum("kl,klia->kia", basis, series[place])
+            inside = np.einsum("kl,klia->kia", basis[here], series[place])
             values[here] = self._moved(inside, self._starts[window[here]])
         return values
 

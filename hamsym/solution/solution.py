@@ -17,7 +17,7 @@ from hamsym.errors import ParameterError, VacuousBoundWarning
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.scales import SMALLEST, coupled_sizes, ratios, resolved_sizes
 from hamsym.problems.description import attributes_of
-from hamsym.problems.observed import observed, observed_variable
+from hamsym.problems.observed import dataset_of_states, observed
 from hamsym.solution.analysis import Analysis
 from hamsym.solution.digest import Definition
 from hamsym.solution.discontinuities import parameter_jump
@@ -32,7 +32,7 @@ from hamsym.solution.work import Work
 from hamsym.support.record_fields import UNSAVED, Size, floats
 from hamsym.support.shown import Saved
 from hamsym.support.suggestions import suggest_attributes
-from hamsym.support.tables import data_frame, data_set, time_name
+from hamsym.support.tables import data_frame, time_name
 from hamsym.support.validation import checked_numbers
 
 if TYPE_CHECKING:  # torch and matplotlib are imported only where they are used
@@ -601,21 +601,16 @@ class Solution(Saved):
         """
         times = np.atleast_1d(times_in_span(t, self.span))
         states = self(times)
-        value, quantity = observed_variable(
-            names, ["time"], lambda names: observed(self.H, names, states, times)
-        )
-        return data_set(
-            {
-                "state": (["time", "component"], states),
-                "energy": (["time"], self.energy(times)),
-                "error_estimate": (["time", "component"], np.abs(self.error_estimate(times))),
-                "success": ([], self.success),
-                "message": ([], self.message),
-                "z0": (["component"], self.z0),
-                **value,
-            },
-            {"time": times, "component": list(self.H.names), **quantity},
-            self._attributes,
+        columns = observed(self.H, names, states, times) if names else {}
+        variables = {
+            "energy": (["time"], self.energy(times)),
+            "error_estimate": (["time", "component"], np.abs(self.error_estimate(times))),
+            "success": ([], self.success),
+            "message": ([], self.message),
+            "z0": (["component"], self.z0),
+        }
+        return dataset_of_states(
+            self.H, [], times, states, columns, variables, {}, self._attributes
         )
 
     @property

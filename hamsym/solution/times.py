@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hamsym.errors import InputError
-from hamsym.support.validation import checked_numbers
+from hamsym.support.validation import checked_numbers, outside_span
 
 if TYPE_CHECKING:  # torch is imported only by callers that have tensors
     from torch import Tensor
 
 _CHUNK = 4_096  # times evaluated at once, to bound the memory
-_ROUND_OFF = 4e-16  # relative, of times at the ends of the span
 
 
 def shown_time(t: float, start: float, end: float) -> str:
@@ -38,27 +37,23 @@ def times_in_span(t: Any, span: tuple[float, float], *, extrapolate: bool = Fals
     Raise InputError if they are not finite numbers, or outside the span unless
     ``extrapolate=True``.
     """
-    precision = _ROUND_OFF
+    precision = {}
     if is_tensor(t):
         t = t.detach().cpu().numpy()
         if t.dtype == np.float32:  # which rounds the ends of the span
-            precision = float(np.finfo(np.float32).eps)
+            precision["round_off"] = float(np.finfo(np.float32).eps)
     times = checked_numbers("t", t)
     if times.ndim > 1 or times.size == 0:
         raise InputError(f"t has shape {times.shape}; give one time or a list of times")
-    low, high = min(span), max(span)
-    slack = precision * max(abs(low), abs(high))
-    if low - slack <= times.min() and times.max() <= high + slack:
-        return times
-    if not np.all(np.isfinite(times)):
-        raise InputError("t has an entry that is not finite; give finite times")
-    outside = (times < low - slack) | (times > high + slack)
-    if not extrapolate:
-        worst = float(np.atleast_1d(times)[np.atleast_1d(outside)][0])
-        raise InputError(
-            f"t = {worst:.16g} is outside the span from {low:.16g} to {high:.16g}; give times "
-            "inside it, or extrapolate=True"
-        )
+    outside = outside_span(times, span, **precision)
+    if outside.any():
+        if not np.all(np.isfinite(times)):
+            raise InputError("t has an entry that is not finite; give finite times")
+        if not extrapolate:
+            raise InputError(
+                f"t = {times[outside].flat[0]:.16g} is outside the span from {min(span):.16g} to "
+                f"{max(span):.16g}; give times inside it, or extrapolate=True"
+            )
     return times
 
 

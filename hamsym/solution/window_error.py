@@ -9,9 +9,8 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from hamsym.numerics.collocation import chebyshev_values
 from hamsym.numerics.scales import ratios
-from hamsym.numerics.windows import locate
+from hamsym.numerics.windows import locate, located_basis
 from hamsym.support.record_fields import floats
 
 
@@ -48,8 +47,7 @@ class WindowError:
 
     def __call__(self, t: np.ndarray) -> np.ndarray:
         """Estimated z - z^ at times t, shape (*t.shape, dim)."""
-        window, s = locate(self.edges, t - self.origin)
-        basis = chebyshev_values(np.clip(2 * s - 1, -1, 1), self.series.shape[1])
+        window, basis = located_basis(self.edges, t - self.origin, self.series.shape[1])
         with np.errstate(invalid="ignore"):
             values = np.einsum("...l,...ld->...d", basis, self.series[window])
         return np.nan_to_num(values, nan=np.inf, posinf=np.inf, neginf=np.inf)

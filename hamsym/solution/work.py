@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hamsym.numerics.collocation import chebyshev_values, collocation
-from hamsym.numerics.windows import locate
+from hamsym.numerics.collocation import collocation
+from hamsym.numerics.windows import located_basis
 
 if TYPE_CHECKING:
     from hamsym.solution.solution import Solution
@@ -19,12 +19,10 @@ _WINDOWS = 400  # of a trajectory that has none of its own
 class Work:
     """The integral of ``H.power`` along a path, by Chebyshev series on windows.
 
-    - edges: Ends of windows, counted from ``origin``; by default equal windows.
+    - edges: Ends of windows, counted from ``origin``; with None equal windows.
     """
 
-    def __init__(
-        self, path: Solution, edges: np.ndarray | None = None, origin: float = 0.0
-    ) -> None:
+    def __init__(self, path: Solution, edges: np.ndarray | None, origin: float) -> None:
         if edges is None:
             edges, origin = np.linspace(*path.span, _WINDOWS + 1), 0.0
         self._edges, self._origin = edges, origin
@@ -40,6 +38,5 @@ class Work:
 
     def __call__(self, t: np.ndarray) -> np.ndarray:
         """Evaluate at times of shape (n,)."""
-        window, s = locate(self._edges, t - self._origin)
-        basis = chebyshev_values(np.clip(2 * s - 1, -1, 1), _NODES)
+        window, basis = located_basis(self._edges, t - self._origin, _NODES)
         return np.asarray(self._starts[window] + (basis * self._series[window]).sum(axis=1))

@@ -14,7 +14,7 @@ from hamsym.errors import CertificationError, InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.problems.conservation import InvariantLike, KnownInvariants
 from hamsym.problems.problem import InitialValueProblem
-from hamsym.solution.invariant_check import judged_by_invariants
+from hamsym.solution.acceptance import judged_by_invariants
 from hamsym.solution.solution import Solution
 from hamsym.solving.methods import method_of, option_message
 from hamsym.support.method_object import Method

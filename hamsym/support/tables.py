@@ -66,6 +66,30 @@ def data_frame(
     return frame
 
 
+def ensemble_frame(
+    shape: Sequence[int],
+    time: Mapping[str, np.ndarray],
+    columns: Mapping[str, np.ndarray],
+    parameters: Mapping[str, np.ndarray],
+    attributes: Mapping[str, Any],
+) -> Any:
+    """Make a ``pandas.DataFrame`` of an ensemble, with a row for each member and time.
+
+    Raise InputError if pandas is not installed.
+
+    - shape: Of the ensemble.
+    - time: Name and values of the times, shape (n,).
+    - columns: Shapes (*shape, n).
+    - parameters: Values of each member, as many as there are members.
+    """
+    ((name, times),) = time.items()
+    places = np.indices((*shape, len(times))).reshape(len(shape) + 1, -1)
+    index = dict(zip(member_axes(shape), places[:-1], strict=True)) | {name: times[places[-1]]}
+    flat = {key: values.ravel() for key, values in columns.items()}
+    flat |= {key: np.repeat(values.ravel(), len(times)) for key, values in parameters.items()}
+    return data_frame(flat, index, attributes)
+
+
 def data_set(
     variables: Mapping[str, Any], coordinates: Mapping[str, Any], attributes: Mapping[str, Any]
 ) -> Any:

@@ -61,6 +61,13 @@ def checked_numbers(name: str, values: Any) -> np.ndarray:
         raise InputError(f"{name} has an entry that is not a real number; give numbers") from None
 
 
+def outside_span(times: np.ndarray, span: Sequence[float], round_off: float = 4e-16) -> np.ndarray:
+    """Return whether times are outside a span by more than relative round-off, or nan."""
+    low, high = min(span), max(span)
+    slack = round_off * max(abs(low), abs(high))
+    return ~((times >= low - slack) & (times <= high + slack))
+
+
 def require_widths(hidden: object) -> None:
     """Raise InputError unless a value is a list of the widths of hidden layers."""
     widths = tuple(hidden) if isinstance(hidden, Sequence) else ()

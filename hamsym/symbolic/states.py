@@ -37,7 +37,8 @@ def states_array(z0: Any, names: Sequence[str], *, finite: bool = True) -> np.nd
     order = ", ".join(names)
     try:
         if isinstance(z0, Mapping):
-            z0 = np.stack(_alike(_in_order(z0, names), order), axis=-1)
+            values = [np.array(value, dtype=float) for value in by_component(z0, names).values()]
+            z0 = np.stack(_alike(values, order), axis=-1)
         states = np.array(z0, dtype=float)
     except VariableError:
         raise
@@ -61,7 +62,11 @@ def _alike(values: list[np.ndarray], order: str) -> tuple[np.ndarray, ...]:
         ) from None
 
 
-def _in_order(z0: Mapping[Any, Any], names: Sequence[str]) -> list[np.ndarray]:
+def by_component(z0: Mapping[Any, Any], names: Sequence[str]) -> dict[str, Any]:
+    """Return the entries of a state by component, in the order of the names.
+
+    Raise VariableError if a component is missing or unknown.
+    """
     given = {canonical_name(name_of(key)): value for key, value in z0.items()}
     wanted = [canonical_name(name) for name in names]
     others = [name for name in given if name not in wanted]
@@ -70,7 +75,7 @@ def _in_order(z0: Mapping[Any, Any], names: Sequence[str]) -> list[np.ndarray]:
         raise VariableError(unknown(others[0], names, "a component of z", "z0 has"))
     if missing:
         raise VariableError(f"'{missing[0]}' is missing in z0; give all of {', '.join(names)}")
-    return [np.array(given[key], dtype=float) for key in wanted]
+    return {name: given[key] for name, key in zip(names, wanted, strict=True)}
 
 
 def parameter_arrays(parameters: Mapping[Any, Any], names: Sequence[str]) -> dict[str, np.ndarray]:

@@ -75,7 +75,7 @@ def march_runs(
         def states(windows: March, t: np.ndarray) -> np.ndarray:
             if windows.reason:
                 return np.full((len(t), len(case.z0)), np.inf)
-            trial = FeatureTrial.of_march(windows, basis)
+            trial = FeatureTrial.of_march(windows, basis.series)
             return trial.states_at(t)
 
         return Run(f"{name}: march", tol, call, states)

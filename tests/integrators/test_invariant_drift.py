@@ -7,8 +7,7 @@ import pytest
 
 import hamsym
 from hamsym.errors import InputError, StepSizeWarning
-from hamsym.integrators.compared_runs import Tolerated
-from hamsym.integrators.to_tolerance import ToleranceSearch
+from hamsym.integrators.to_tolerance import ToleranceSearch, Tolerated
 
 KEPLER = "(p_x**2 + p_y**2)/2 - k/sqrt(x**2 + y**2)"
 MOMENTUM = "x*p_y - y*p_x"

@@ -277,7 +277,7 @@ def test_constants_stand_in_sources_and_package_alike() -> None:
     balls, march, errors, own = (of[f"{name}.h"] for name in "balls march errors models".split())
     assert (balls["UNIT"], balls["MIDDLE"]) == (directed.UNIT, directed.MIDDLE)
     assert (balls["SMALL"], balls["UNDERFLOW_ERROR"]) == (directed.TINY, directed.UNDERFLOW)
-    assert (errors["SLACK"], march["ROUND_OFF"]) == (window_checks.SLACK, window_checks._ROUND_OFF)
+    assert (errors["SLACK"], march["ROUND_OFF"]) == (window_checks.SLACK, window_checks.ROUND_OFF)
     assert (own["DEGREE"], own["PLACES"]) == (models.DEGREE, models.PLACES)
     counts = {errors[name] - 2 for name in ("EACH_MOST", "EACH_FEWER")}
     assert counts == {perturbations for perturbations, _ in _PERTURBATIONS.values()}

@@ -92,15 +92,6 @@ def test_function_that_the_library_lacks_is_named() -> None:
         program_of([sympy.gamma(X)], [X, Y], None, [])
 
 
-def test_exception_in_a_function_of_rows_reaches_the_caller() -> None:
-    def failing(z: np.ndarray, t: np.ndarray, values: np.ndarray, out: np.ndarray) -> None:
-        raise ZeroDivisionError("no rows")
-
-    program = loops.Program(2, 0, 1, function=failing)
-    with pytest.raises(ZeroDivisionError, match="no rows"):
-        program(np.ones((2, 3)), np.zeros(3), np.empty(0))
-
-
 def _is_sound(inputs: int, results: int, rows: int, steps: np.ndarray) -> bool:
     written = set(range(inputs))
     for operation, out, first, second in steps:

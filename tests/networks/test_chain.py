@@ -257,7 +257,7 @@ def test_estimate_is_that_of_an_error_that_was_put_in() -> None:
     solution = hamsym.solve(CIRCLE, [1.0, 0.0], (0, 6), method="network-chain")
     # Another Hamiltonian: the exact difference of the two motions is known.
     other = Hamiltonian("p**2/2 + x**2*(1 + 2e-4)/2")
-    estimate = estimate_chain_error(other, solution.trial, solution.record)
+    estimate = estimate_chain_error(other, solution.trial, solution.points)
     assert not estimate.limit
     t = np.linspace(0, 6, 50)
     w = math.sqrt(1 + 2e-4)
@@ -268,7 +268,7 @@ def test_estimate_is_that_of_an_error_that_was_put_in() -> None:
 def test_estimate_of_a_wrong_motion_is_infinite() -> None:
     solution = hamsym.solve(CIRCLE, [1.0, 0.0], (0, 30), method="network-chain")
     estimate = estimate_chain_error(
-        Hamiltonian("p**2/2 + x**2 + x**4"), solution.trial, solution.record
+        Hamiltonian("p**2/2 + x**2 + x**4"), solution.trial, solution.points
     )
     assert "errors grow too large" in estimate.limit
     assert np.isinf(estimate.error.largest).all()

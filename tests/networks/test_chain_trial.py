@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from hamsym import Hamiltonian
-from hamsym.networks.chain import Chain, ChainTraining
+from hamsym.networks.chain import Chain
 from hamsym.networks.chain_error import estimate_chain_error
 from hamsym.networks.network import Network
 from hamsym.networks.trial import TrialSolution
@@ -67,11 +67,7 @@ def test_error_estimate_resolves_the_window_with_most_points() -> None:
     z0 = np.array([1.0, 0.0])
     pieces = [piece(float(k), z0, tau=1 / 3) for k in range(9)]
     chain = Chain((*pieces, piece(9.0, z0, tau=1 / 60)), 10.0)
-    count = len(chain.pieces)
-    steps = np.zeros(count, dtype=np.int64)
-    record = ChainTraining(
-        chain.edges, steps, steps, np.zeros(count), 9 * 60 + 1_200, 0, 0, 1, 0.0, 0.0
-    )
-    edges = estimate_chain_error(Hamiltonian("p**2/2 + q**2/2"), chain, record).error.edges
+    H = Hamiltonian("p**2/2 + q**2/2")
+    edges = estimate_chain_error(H, chain, 9 * 60 + 1_200).error.edges
     assert (edges >= 9.0).sum() - 1 == 1_200 // 16
     assert np.isin(chain.edges, edges).all()

@@ -14,9 +14,9 @@ from hamsym import InputError
 from hamsym.cli.commands import main
 from hamsym.networks.levenberg_marquardt import LevenbergMarquardt
 from hamsym.networks.network import Network
-from hamsym.networks.objective import Objective
 from hamsym.networks.trial import TrialSolution
 from hamsym.solving.methods import made_method
+from tests.networks.objectives import squares_of
 
 H = hamsym.Hamiltonian("p**2/2 + x**2/2")
 BRIEF = {
@@ -129,8 +129,8 @@ def test_least_damping_is_that_of_the_precision() -> None:
     for dtype in (torch.float32, torch.float64):
         network = Network(1, (4,), generator=torch.Generator().manual_seed(0), dtype=dtype)
         trial = TrialSolution(network, torch.ones(1, dtype=dtype))
-        optimizer = LevenbergMarquardt(points=8)
-        optimizer.bind(trial, Objective(lambda t, z, dz: dz + z), torch.Generator())
+        optimizer = LevenbergMarquardt(hamsym.LevenbergMarquardt(points=8))
+        optimizer.bind(trial, squares_of(lambda t, z, dz: dz + z), torch.Generator())
         optimizer._mu = optimizer._mu_least
         optimizer.iterate((0.0, 1.0), 1.0, 0.0)
         assert optimizer._mu >= optimizer._mu_least

@@ -18,12 +18,12 @@ from hamsym.networks.levenberg_marquardt import LevenbergMarquardt
 from hamsym.networks.module_rates import ModuleRates
 from hamsym.networks.module_trial import ModuleTrial, checked_copy, rate_defect
 from hamsym.networks.network import Network
-from hamsym.networks.objective import Objective
-from hamsym.networks.optimizers import LBFGS, Adam
-from hamsym.networks.rules import Stopping
+from hamsym.networks.optimizers import LBFGS, Adam, Optimizer
+from hamsym.networks.rules import Stages
 from hamsym.networks.training import train
 from hamsym.networks.trial import TrialSolution
 from hamsym.solving.methods import made_method
+from tests.networks.objectives import squares_of
 
 H = hamsym.Hamiltonian("p**2/2 + x**2/2")
 BRIEF = {
@@ -55,18 +55,26 @@ def copy_of(network: Network) -> nn.Sequential:
     return nn.Sequential(*layers[:-1])
 
 
-@pytest.mark.parametrize("optimizer", [Adam, LBFGS, LevenbergMarquardt])
-def test_module_trains_as_the_network_that_it_copies(optimizer: type) -> None:
+@pytest.mark.parametrize(
+    "optimizer",
+    [
+        Adam(hamsym.Adam(points=20, epochs=5)),
+        LBFGS(hamsym.LBFGS(points=20, iterations=5)),
+        LevenbergMarquardt(hamsym.LevenbergMarquardt(points=20, iterations=5)),
+    ],
+    ids=lambda optimizer: optimizer.method.name,
+)
+def test_module_trains_as_the_network_that_it_copies(optimizer: Optimizer) -> None:
     network = Network(2, (8, 7), frequency=3.0, generator=torch.Generator().manual_seed(4))
     z0 = torch.tensor([1.0, 0.0], dtype=torch.float64)
     losses = []
     for trial in (ModuleTrial(copy_of(network), z0), TrialSolution(network, z0)):
         training = train(
             trial,
-            Objective(lambda t, z, dz: dz - torch.stack((z[:, 1], -z[:, 0]), 1)),
+            squares_of(lambda t, z, dz: dz - torch.stack((z[:, 1], -z[:, 0]), 1)),
             (0, 2),
-            optimizer(points=20),
-            Stopping(5),
+            optimizer,
+            stages=Stages(),
             generator=torch.Generator().manual_seed(0),
         )
         losses.append(training.history.loss)
@@ -163,10 +171,9 @@ def test_least_squares_products_are_those_of_the_jacobian() -> None:
 
     parts = torch.autograd.functional.jacobian(flat, weights)
     explicit = torch.cat([part.reshape(15, -1) for part in parts], 1)
-    optimizer = LevenbergMarquardt(points=5)
-    optimizer.bind(trial, Objective(lambda t, z, dz: rows(z, dz)), torch.Generator())
+    objective = squares_of(lambda t, z, dz: rows(z, dz))
     with torch.no_grad():
-        rates = ModuleRates(trial, t, *optimizer._slopes(t, *trial(t)))
+        rates = ModuleRates(trial, t, *objective.slopes(t, *trial(t)))
     y = torch.randn(15, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     torch.testing.assert_close(rates.gram(), explicit @ explicit.T)
     found = torch.cat([part.reshape(-1) for part in rates.transposed(y)])

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import torch
 
+import hamsym
 from hamsym import InputError
-from hamsym.networks.objective import Objective
 from hamsym.networks.self_scaled_broyden import InverseHessian, SelfScaledBroyden, _coefficients
+from tests.networks.objectives import squares_of
 
 _SIZE = 6
 
@@ -146,9 +147,10 @@ class _Point(torch.nn.Module):
         return z, torch.ones_like(z)
 
 
-def _bound(point: _Point, residual, **options: int) -> SelfScaledBroyden:
-    optimizer = SelfScaledBroyden(points=3, **options)
-    objective = Objective(lambda t, z, dz: residual(z[:, 0], z[:, 1]))
+def _bound(point: _Point, residual, refresh: int = 200) -> SelfScaledBroyden:
+    optimizer = SelfScaledBroyden(hamsym.SSBroyden(points=3))
+    optimizer.refresh = refresh
+    objective = squares_of(lambda t, z, dz: residual(z[:, 0], z[:, 1]))
     optimizer.bind(point, objective, torch.Generator().manual_seed(0))
     return optimizer
 
@@ -197,7 +199,7 @@ def test_matrix_survives_new_points() -> None:
 
 
 def test_networks_too_large_for_a_matrix_are_refused() -> None:
-    optimizer = SelfScaledBroyden(points=2)
-    objective = Objective(lambda t, z, dz: z)
+    optimizer = SelfScaledBroyden(hamsym.SSBroyden(points=2))
+    objective = squares_of(lambda t, z, dz: z)
     with pytest.raises(InputError, match="20,001 weights, more than the 20,000"):
         optimizer.bind(_Point(*[0.0] * 20_001), objective, torch.Generator())

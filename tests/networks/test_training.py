@@ -13,12 +13,13 @@ from hamsym import InputError
 from hamsym.networks.levenberg_marquardt import LevenbergMarquardt, _Linearised
 from hamsym.networks.network import ComponentNetworks, Network
 from hamsym.networks.objective import Objective, Regularizer
-from hamsym.networks.optimizers import LBFGS, Adam
-from hamsym.networks.record import TrainingState
-from hamsym.networks.rules import Criterion, Progress, Stages, Stopping
+from hamsym.networks.optimizers import LBFGS, Adam, Optimizer
+from hamsym.networks.record import Training, TrainingState
+from hamsym.networks.rules import Course, Stages, limit_reached
 from hamsym.networks.self_scaled_broyden import SelfScaledBroyden
 from hamsym.networks.training import train
 from hamsym.networks.trial import TrialSolution
+from tests.networks.objectives import squares_of
 
 
 def decay_trial(seed: int = 0) -> tuple[TrialSolution, torch.Generator]:
@@ -28,7 +29,21 @@ def decay_trial(seed: int = 0) -> tuple[TrialSolution, torch.Generator]:
 
 
 # z' = -z, which is not a Hamiltonian system.
-DECAY = Objective(residual=lambda t, z, dz: dz + z)
+DECAY = squares_of(lambda t, z, dz: dz + z)
+WHOLE = Stages()
+
+
+def adam(**options: object) -> Adam:
+    return Adam(hamsym.Adam(**options))
+
+
+def trained(
+    objective: Objective, span: tuple[float, float], optimizer: Optimizer, **others: object
+) -> Training:
+    trial, generator = decay_trial()
+    return train(
+        trial, objective, span, optimizer, generator=generator, **{"stages": WHOLE, **others}
+    )
 
 
 def test_best_weights_at_fixed_points_are_kept() -> None:
@@ -43,10 +58,10 @@ def test_best_weights_at_fixed_points_are_kept() -> None:
         trial,
         DECAY,
         (0, 2),
-        Adam(points=10, learning_rate=0.05),
-        Stopping(iterations=300),
+        adam(points=10, learning_rate=0.05, epochs=300),
         generator=generator,
-        callbacks=[spoil],
+        stages=WHOLE,
+        tell=spoil,
     )
     fixed = (torch.arange(20, dtype=torch.float64) + 0.5) * 0.1
     with torch.no_grad():
@@ -57,9 +72,8 @@ def test_best_weights_at_fixed_points_are_kept() -> None:
 
 @pytest.mark.slow
 def test_training_stops_at_the_target() -> None:
-    trial, generator = decay_trial()
-    options = Adam(points=20, learning_rate=0.01), Stopping(iterations=5000, target_loss=1e-3)
-    training = train(trial, DECAY, (0, 2), *options, generator=generator)
+    optimizer = adam(points=20, learning_rate=0.01, epochs=5000, target_loss=1e-3)
+    training = trained(DECAY, (0, 2), optimizer)
     assert training.stopped == "target loss"
     assert training.iterations < 5000
     assert training.best_loss <= 1e-3
@@ -73,9 +87,7 @@ def test_noisy_points_stay_inside_the_interval() -> None:
         return dz + z
 
     for span in ((1.0, 3.0), (3.0, 1.0)):
-        trial, generator = decay_trial()
-        options = Adam(points=50, noise=5.0), Stopping(iterations=10)
-        train(trial, Objective(residual), span, *options, generator=generator)
+        trained(squares_of(residual), span, adam(points=50, noise=5.0, epochs=10))
     times = torch.cat(seen)
     assert times.min() >= 1.0
     assert times.max() <= 3.0
@@ -92,9 +104,7 @@ def test_points_without_noise_stay() -> None:
         seen.append(t)
         return dz + z
 
-    trial, generator = decay_trial()
-    options = Adam(points=5, noise=0.0), Stopping(iterations=3)
-    train(trial, Objective(residual), (0, 1), *options, generator=generator)
+    trained(squares_of(residual), (0, 1), adam(points=5, noise=0.0, epochs=3))
     grid = torch.linspace(0, 1, 5, dtype=torch.float64)
     assert sum(torch.equal(t, grid) for t in seen if len(t) == 5) == 3
 
@@ -106,11 +116,9 @@ def test_loss_is_the_weighted_sum_of_its_terms() -> None:
         Regularizer(2.0, lambda t, z, dz: z[:, 0] ** 2),
         Regularizer(0.5, lambda t, z, dz: dz.abs().sum(-1)),
     )
-    objective = Objective(lambda t, z, dz: dz - z, regularizers=terms)
+    objective = squares_of(lambda t, z, dz: dz - z, regularizers=terms)
     expected = ((dz - z) ** 2).sum(-1).mean() + 2 * (z[:, 0] ** 2).mean() + 0.5 * dz.sum(-1).mean()
     torch.testing.assert_close(objective(t, z, dz), expected)
-    replaced = Objective(lambda t, z, dz: dz - z, loss=lambda t, z, dz: z.sum())
-    torch.testing.assert_close(replaced(t, z, dz), z.sum())
 
 
 @pytest.mark.parametrize(
@@ -137,8 +145,14 @@ def test_divergence_restores_the_best_weights() -> None:
         return (dz + z) * (math.nan if calls > 100 else 1.0)
 
     trial, generator = decay_trial()
-    options = Adam(points=10), Stopping(iterations=1000)
-    training = train(trial, Objective(residual), (0, 1), *options, generator=generator)
+    training = train(
+        trial,
+        squares_of(residual),
+        (0, 1),
+        adam(points=10, epochs=1000),
+        generator=generator,
+        stages=WHOLE,
+    )
     assert training.stopped == "diverged"
     assert math.isfinite(training.best_loss)
     assert all(torch.isfinite(weight).all() for weight in trial.parameters())
@@ -149,16 +163,7 @@ def test_interruption_returns_the_best_so_far() -> None:
         if state.iteration >= 50:
             raise KeyboardInterrupt
 
-    trial, generator = decay_trial()
-    training = train(
-        trial,
-        DECAY,
-        (0, 1),
-        Adam(points=10),
-        Stopping(iterations=1000),
-        generator=generator,
-        callbacks=[interrupt],
-    )
+    training = trained(DECAY, (0, 1), adam(points=10, epochs=1000), tell=interrupt)
     assert training.stopped == "interrupted"
     assert 50 <= training.iterations < 1000
     assert math.isfinite(training.best_loss)
@@ -166,9 +171,7 @@ def test_interruption_returns_the_best_so_far() -> None:
 
 def test_callbacks_agree_with_history() -> None:
     states: list[TrainingState] = []
-    trial, generator = decay_trial()
-    options = Adam(points=10), Stopping(iterations=200)
-    training = train(trial, DECAY, (0, 1), *options, generator=generator, callbacks=[states.append])
+    training = trained(DECAY, (0, 1), adam(points=10, epochs=200), tell=states.append)
     history = training.history
     assert len(history.loss) == training.iterations == 200
     assert [s.iteration for s in states] == history.iteration.tolist()
@@ -183,7 +186,8 @@ def test_training_is_reproducible_and_leaves_torch_state() -> None:
     weights = []
     for _ in range(2):
         trial, generator = decay_trial(seed=5)
-        train(trial, DECAY, (0, 1), Adam(points=10), Stopping(iterations=50), generator=generator)
+        optimizer = adam(points=10, epochs=50)
+        train(trial, DECAY, (0, 1), optimizer, generator=generator, stages=WHOLE)
         weights.append([weight.detach().clone() for weight in trial.parameters()])
     assert all(torch.equal(a, b) for a, b in zip(*weights, strict=True))
     assert torch.get_num_threads() == threads
@@ -201,8 +205,16 @@ def test_cosine_schedule_ends_at_rate_zero() -> None:
         def snapshot(state: TrainingState, trial=trial, snapshots=snapshots) -> None:
             snapshots.append(torch.cat([w.detach().flatten() for w in trial.parameters()]))
 
-        options = Adam(points=20, learning_rate=0.05, schedule=schedule), Stopping(iterations=400)
-        train(trial, DECAY, (0, 2), *options, generator=generator, callbacks=[snapshot])
+        options = {"learning_rate": 0.05, "schedule": schedule, "epochs": 400}
+        train(
+            trial,
+            DECAY,
+            (0, 2),
+            adam(points=20, **options),
+            generator=generator,
+            stages=WHOLE,
+            tell=snapshot,
+        )
         moved[schedule] = (snapshots[-1] - snapshots[-2]).norm()
     assert moved["cosine"] < 0.1 * moved["constant"]
 
@@ -210,60 +222,71 @@ def test_cosine_schedule_ends_at_rate_zero() -> None:
 @pytest.mark.parametrize(
     ("kind", "settings"),
     [
-        (Stopping, {"iterations": 0}),
-        (Stopping, {"iterations": 1.5}),
-        (Stopping, {"iterations": 9, "target_loss": 0.0}),
-        (Stopping, {"iterations": 9, "target_ell_max": math.nan}),
-        (Stopping, {"iterations": 9, "patience": 0}),
-        (Stopping, {"iterations": 9, "time_limit": -1.0}),
-        (Stages, {"count": 0}),
-        (Stages, {"restarts": -1}),
-        (Adam, {"points": 1}),
+        (hamsym.LBFGS, {"iterations": 0}),
+        (hamsym.LBFGS, {"iterations": 1.5}),
+        (hamsym.Adam, {"target_loss": 0.0}),
+        (hamsym.Adam, {"target_ell_max": math.nan}),
+        (hamsym.Adam, {"patience": 0}),
+        (hamsym.Adam, {"time_limit": -1.0}),
+        (hamsym.Adam, {"stages": 0}),
+        (hamsym.LevenbergMarquardt, {"restarts": -1}),
         (hamsym.Adam, {"learning_rate": 0.0}),
         (hamsym.Adam, {"learning_rate": math.nan}),
         (hamsym.Adam, {"noise": -1.0}),
         (hamsym.Adam, {"betas": (0.9, 1.0)}),
         (hamsym.Adam, {"schedule": "linear"}),
-        (LBFGS, {"points": 1}),
-        (LBFGS, {"memory": 0}),
-        (LBFGS, {"refresh": 0}),
-        (SelfScaledBroyden, {"points": 1}),
-        (SelfScaledBroyden, {"refresh": 0}),
-        (LevenbergMarquardt, {"points": True}),
+        (hamsym.LBFGS, {"points": 1}),
+        (hamsym.LevenbergMarquardt, {"points": True}),
     ],
 )
 def test_unusable_settings_are_rejected(kind: type, settings: dict[str, object]) -> None:
-    *_, name = settings
-    name = {"count": "stages"}.get(name, name)
+    (name,) = settings
     with pytest.raises(InputError, match=f"{name}=.* cannot be used; (give|choose)"):
         kind(**settings)
 
 
 # -- the same trainer for every optimizer ---------------------------------------------------------
 
+
+class BriefLBFGS(LBFGS):
+    memory, refresh = 5, 15
+
+
+class BriefBroyden(SelfScaledBroyden):
+    refresh = 15
+
+
 OPTIMIZERS = {
-    "adam": lambda: Adam(points=20, learning_rate=0.01, noise=0.02),
-    "lbfgs": lambda: LBFGS(points=20, memory=5, refresh=15),
-    "ssbroyden": lambda: SelfScaledBroyden(points=20, refresh=15),
-    "levenberg-marquardt": lambda: LevenbergMarquardt(points=20),
+    "adam": (Adam, hamsym.Adam, {"learning_rate": 0.01, "noise": 0.02}),
+    "lbfgs": (BriefLBFGS, hamsym.LBFGS, {}),
+    "ssbroyden": (BriefBroyden, hamsym.SSBroyden, {}),
+    "levenberg-marquardt": (LevenbergMarquardt, hamsym.LevenbergMarquardt, {"patience": None}),
 }
 
 
 @pytest.fixture(params=OPTIMIZERS)
 def optimizer(request: pytest.FixtureRequest):
-    return OPTIMIZERS[request.param]
+    own, method, options = OPTIMIZERS[request.param]
+
+    def made(count: int, **rules: object) -> Optimizer:
+        unit = "epochs" if own is Adam else "iterations"
+        return own(method(**{unit: count, "points": 20, **options, **rules}))
+
+    return made
 
 
 @pytest.mark.slow_cases("adam", "lbfgs", "ssbroyden")
 def test_each_optimizer_solves_another_equation(optimizer) -> None:
     trial, generator = decay_trial()
-    iterations = 150 if isinstance(optimizer(), LevenbergMarquardt) else 1000
-    training = train(trial, DECAY, (0, 2), optimizer(), Stopping(iterations), generator=generator)
+    made = optimizer(1000)
+    if isinstance(made, LevenbergMarquardt):
+        made = optimizer(150)
+    training = train(trial, DECAY, (0, 2), made, generator=generator, stages=WHOLE)
     t = torch.linspace(0, 2, 101, dtype=torch.float64)
     with torch.no_grad():
         error = (trial(t)[0][:, 0] - torch.exp(-t)).abs().max()
-    largest = {Adam: 0.02, LBFGS: 1e-4, SelfScaledBroyden: 1e-6, LevenbergMarquardt: 1e-7}
-    assert error < largest[type(optimizer())]
+    largest = {Adam: 0.02, BriefLBFGS: 1e-4, BriefBroyden: 1e-6, LevenbergMarquardt: 1e-7}
+    assert error < largest[type(made)]
     assert math.isfinite(training.best_loss)
 
 
@@ -273,14 +296,16 @@ def test_each_optimizer_solves_another_equation(optimizer) -> None:
         ({"target_loss": 1e-2}, "target loss"),
         ({"target_ell_max": 0.3}, "target ell_max"),
         ({"time_limit": 1e-9}, "time limit"),
-        ({"criteria": (Criterion("enough", lambda trial, training: True),)}, "enough"),
+        ({"criteria": {"enough": lambda training: True}}, "enough"),
         ({}, "iterations"),
     ],
 )
 def test_each_optimizer_stops_by_each_rule(optimizer, rule: dict, name: str) -> None:
-    trial, generator = decay_trial()
-    stopping = Stopping(iterations=60 if name == "iterations" else 2_000, **rule)
-    training = train(trial, DECAY, (0, 2), optimizer(), stopping, generator=generator)
+    count = 60 if name == "iterations" else 2_000
+    if "criteria" in rule:
+        training = trained(DECAY, (0, 2), optimizer(count), **rule)
+    else:
+        training = trained(DECAY, (0, 2), optimizer(count, **rule))
     assert training.stopped in (name, "stalled")  # less than 60 steps may solve so small a problem
     if name != "iterations":
         assert training.stopped == name
@@ -290,21 +315,18 @@ def test_each_optimizer_stops_by_each_rule(optimizer, rule: dict, name: str) -> 
 
 
 def test_patience_ends_training() -> None:
-    trial, generator = decay_trial()
-    constant = Objective(lambda t, z, dz: 0 * dz + 1)
-    training = train(
-        trial, constant, (0, 1), Adam(points=5), Stopping(5_000, patience=120), generator=generator
-    )
+    constant = squares_of(lambda t, z, dz: 0 * dz + 1)
+    training = trained(constant, (0, 1), adam(points=5, epochs=5_000, patience=120))
     assert training.stopped == "patience"
     assert 120 <= training.iterations < 300
 
 
 def test_patience_begins_with_a_stage() -> None:
-    rule = Stopping(1_000, patience=50)
-    progress = Progress(iteration=100, improved=10, in_stage=49)
-    assert rule.limit_reached(progress, last_stage=True) is None
-    progress.in_stage = 50
-    assert rule.limit_reached(progress, last_stage=True) == "patience"
+    method = hamsym.Adam(patience=50)
+    course = Course(WHOLE, (0, 1), 1_000, iteration=100, improved=10, in_stage=49)
+    assert limit_reached(method, course) is None
+    course.in_stage = 50
+    assert limit_reached(method, course) == "patience"
 
 
 @pytest.mark.slow_cases("levenberg-marquardt", "ssbroyden", "lbfgs")
@@ -316,16 +338,9 @@ def test_sequential_training_grows_the_span(optimizer) -> None:
             seen.append(float(t.max()))
         return dz + z
 
-    trial, generator = decay_trial()
-    train(
-        trial,
-        Objective(residual),
-        (0.0, 2.0),
-        optimizer(),
-        Stopping(300),
-        stages=Stages(4, residual=1e-9 if isinstance(optimizer(), Adam) else 0.03),
-        generator=generator,
-    )
+    made = optimizer(300)
+    stages = Stages(4, residual=1e-9 if isinstance(made, Adam) else 0.03)
+    trained(squares_of(residual), (0.0, 2.0), made, stages=stages)
     steps = sorted({round(2 * time) for time in seen})
     assert steps == [1, 2, 3, 4]
     assert seen == sorted(seen, key=lambda time: round(2 * time))  # never back
@@ -355,10 +370,9 @@ def test_restarts_draw_new_weights(stages: int) -> None:
     first = trial.network.theta.detach().clone()
     training = train(
         trial,
-        Objective(lambda t, z, dz: dz + z, loss=lambda t, z, dz: (dz + z).square().mean() + 1),
+        squares_of(lambda t, z, dz: dz + z, loss=lambda t, z, dz: (dz + z).square().mean() + 1),
         (0, 1),
-        Stubborn(points=5),
-        Stopping(200),
+        Stubborn(hamsym.Adam(points=5, epochs=200)),
         stages=Stages(stages, restart_after=20, restarts=3),
         generator=generator,
     )
@@ -395,11 +409,10 @@ def test_products_with_the_jacobian(hidden: tuple[int, ...], shared: bool) -> No
     with torch.no_grad():  # the forward pass that automatic differentiation can follow
         weights = tuple(n.theta.detach().clone() for n in networks)
     explicit = torch.cat(torch.func.jacfwd(flat, tuple(range(len(weights))))(*weights), 1)
-    optimizer = LevenbergMarquardt(points=5)
-    optimizer.bind(trial, Objective(lambda t, z, dz: rows(z, dz)), generator)
+    objective = squares_of(lambda t, z, dz: rows(z, dz))
     with torch.no_grad():
         z, dz = trial(t)
-        linearised = _Linearised(trial, networks, t, *optimizer._slopes(t, z, dz))
+        linearised = _Linearised(trial, t, *objective.slopes(t, z, dz))
         gram = linearised.gram().tril()
         y = torch.randn(15, dtype=torch.float64, generator=generator)
         transposed = torch.cat(linearised.transposed(y))
@@ -409,17 +422,11 @@ def test_products_with_the_jacobian(hidden: tuple[int, ...], shared: bool) -> No
 
 def test_least_squares_needs_squares_and_networks() -> None:
     trial, generator = decay_trial()
-    penalised = Objective(
+    optimizer = LevenbergMarquardt(hamsym.LevenbergMarquardt())
+    penalised = squares_of(
         DECAY.residual, regularizers=(Regularizer(1.0, lambda t, z, dz: z[:, 0]),)
     )
     with pytest.raises(InputError, match="regularizers have no least-squares form"):
-        train(trial, penalised, (0, 1), LevenbergMarquardt(), Stopping(5), generator=generator)
+        optimizer.bind(trial, penalised, generator)
     with pytest.raises(InputError, match="is not a TrialSolution"):
-        train(
-            torch.nn.Linear(1, 1),
-            DECAY,
-            (0, 1),
-            LevenbergMarquardt(),
-            Stopping(5),
-            generator=generator,
-        )
+        optimizer.bind(torch.nn.Linear(1, 1), DECAY, generator)

@@ -14,6 +14,7 @@ import hamsym.kernel
 from hamsym.kernel.enclosures import enclosures
 from hamsym.proof.arithmetic.balls import number_of, working
 from hamsym.proof.arithmetic.directed import MIDDLE, TINY
+from tests.proof.kernel_calls import balls
 from tests.proof.misses import (
     BINARY,
     UNARY,
@@ -137,7 +138,7 @@ def test_division_by_a_ball_with_zero_is_refused(L, divisor):
 def _many(L, name, count, seed, size):
     """Operands, also with negative radii: the other end of the same ball, and results."""
     x, y = drawn_pairs(name, count, seed, size)
-    found = L.balls(name, x, y)
+    found = balls(L, name, x, y)
     rng = np.random.default_rng(seed)
     for part in (x, y):
         part[:, 2] *= rng.choice([-1.0, 1.0], count)

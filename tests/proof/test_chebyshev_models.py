@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from hamsym.kernel.enclosures import enclosures
+from tests.proof import kernel_calls
 from tests.proof.misses import (
     FORMULAS,
     Model,
@@ -196,7 +197,7 @@ def test_bound_on_roundings_is_small(L, name, double):
     high, low = rng.normal(size=32) * 0.5 ** np.arange(32), np.zeros(32)
     oh, ol = np.zeros((2, 66))
     factors = [(high, low)] * (2 if name == "multiply_series" else 1)
-    bound = getattr(L, name)(*factors, (oh, ol), double)
+    bound = getattr(kernel_calls, name)(L, *factors, (oh, ol), double)
     assert bound <= (5e-29 if double else 1e-13)
 
 
@@ -215,7 +216,9 @@ def test_bound_on_roundings_is_small(L, name, double):
 def test_products_with_subnormal_numbers_are_covered(L, a, b, double):
     oh, ol = np.zeros((2, 4))
     zero = np.zeros(1)
-    bound = L.multiply_series((np.array([a]), zero), (np.array([b]), zero), (oh, ol), double)
+    bound = kernel_calls.multiply_series(
+        L, (np.array([a]), zero), (np.array([b]), zero), (oh, ol), double
+    )
     assert abs(Fraction(a) * Fraction(b) - Fraction(oh[0]) - Fraction(ol[0])) <= Fraction(bound)
 
 
@@ -243,7 +246,7 @@ def test_derivative_of_the_integral_is_the_series(L):
     rng = np.random.default_rng(5)
     high = rng.normal(size=20)
     oh, ol, back, back_low = np.zeros((4, 40))
-    first = L.integrate_series((high, np.zeros(20)), (oh, ol), twice=True)
+    first = kernel_calls.integrate_series(L, (high, np.zeros(20)), (oh, ol), twice=True)
     second = L.differentiate_series((oh[:21], ol[:21]), (back, back_low), twice=True)
     apart = distance(fractions(back[:20], back_low[:20]), fractions(high))
     assert apart <= Fraction(second) + 21**2 * Fraction(first)  # Markov's inequality

@@ -12,6 +12,7 @@ import hamsym
 from hamsym.errors import InputError
 from hamsym.kernel.enclosures import enclosures
 from hamsym.proof.windows.window_proof import norm_and_parts
+from tests.proof.kernel_calls import balls
 
 
 @pytest.mark.parametrize("span", [(1.0, 2.0), (2.0, 1.0), (1e6, 1e6 + 1e-3)])
@@ -32,7 +33,7 @@ def test_times_beyond_the_span_by_a_round_off_are_refused(
 
 @pytest.mark.parametrize("x", [-665.0, -666.2, -667.0, -800.0])
 def test_the_exponential_of_very_negative_numbers_is_enclosed(x: float) -> None:
-    ((high, low, radius),) = enclosures().balls("exponential", np.array([[x, 0.0, 0.0]]))
+    ((high, low, radius),) = balls(enclosures(), "exponential", np.array([[x, 0.0, 0.0]]))
     exact = Fraction(str(sympy.exp(sympy.Rational(x)).evalf(40)))
     assert abs(exact - Fraction(high) - Fraction(low)) <= Fraction(radius)
 

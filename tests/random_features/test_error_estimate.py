@@ -22,7 +22,7 @@ from hamsym.random_features.error_estimate import (
 )
 from hamsym.random_features.flow import flow_of
 from hamsym.random_features.march import march
-from hamsym.random_features.method import checked_accuracy
+from hamsym.random_features.members import checked_accuracy
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
 from hamsym.solution.window_error import _dense
@@ -192,7 +192,8 @@ def _estimated(eccentricity: float, end: float, local: float) -> tuple[Estimate,
     with np.errstate(all="ignore"):
         windows = march(flow, exact[0], (0.0, end), local, basis, longest=end / 8)
         found = estimate_error(windows, basis, flow, local)
-    return found, times, np.abs(FeatureTrial.of_march(windows, basis).states_at(times) - exact)
+    trial = FeatureTrial.of_march(windows, basis.series)
+    return found, times, np.abs(trial.states_at(times) - exact)
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ from hamsym.random_features.flow import flow_of
 from hamsym.random_features.march import march, newton
 from hamsym.random_features.windows import March
 from hamsym.systems import CATALOGUE, Problem
+from tests.kernel.row_functions import RowProgram
 
 # Systems whose exact solution has 13 digits.
 EXACT = [
@@ -504,7 +505,7 @@ def test_places_of_short_windows_are_inside_them() -> None:
         out[:] = 0.0
 
     basis, start = feature_basis(0), 3.0
-    still = loops.Program(2, 0, 1, function=record)
+    still = RowProgram(2, 0, 1, record)
     for h in (1e-8, -1e-8):
         flow = replace(flow_of(Hamiltonian("p**2/2 + x*t")), programs=_equations(still))
         march(flow, np.array([1.0, 0.0]), (start, start + h), 1e-9, basis)

@@ -13,14 +13,14 @@ import pytest
 
 import hamsym
 from hamsym import Hamiltonian
-from hamsym.kernel.loops import Equations, Program
+from hamsym.kernel.loops import Equations
 from hamsym.random_features import members
 from hamsym.random_features.basis import FeatureBasis
 from hamsym.random_features.flow import flow_of
-from hamsym.random_features.members import Batch, MemberSolver
-from hamsym.random_features.method import basis_for, checked_accuracy
+from hamsym.random_features.members import Batch, MemberSolver, basis_for, checked_accuracy
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.systems import CATALOGUE
+from tests.kernel.row_functions import RowProgram
 
 HENON_HEILES = CATALOGUE["henon_heiles"]().H
 OSCILLATOR = Hamiltonian("p**2/2 + k*x**2/2", parameters={"k": 1})
@@ -53,10 +53,10 @@ def test_energy_is_kept_only_within_a_finite_limit(change: float, slope: float, 
     given = Equations(
         dim=2,
         separable=1,
-        velocity=Program(2, 1, 1, function=velocity),
+        velocity=RowProgram(2, 1, 1, velocity),
         force=flow.programs["force"],
         hessian=flow.programs["hessian"],
-        energy=Program(2, 1, 1, function=energy),
+        energy=RowProgram(2, 1, 1, energy),
     )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(members, "flow_of", lambda H: replace(flow, programs=given))
@@ -77,10 +77,9 @@ def _solved(
     parameters: Any = None,
 ) -> Batch:
     accuracy = checked_accuracy(tol, 0.0, None, span, H.dim)
-    given = accuracy.local, accuracy.absolute, accuracy.longest, basis_for(0, tol)
     values = [[H.parameters[name] for name in H.parameter_names]] * len(states)
     values = np.array(values if parameters is None else parameters, dtype=float)
-    solver = MemberSolver(H, span, tol, *given)
+    solver = MemberSolver(H, span, accuracy, basis_for(0, tol))
     return solver.solve(np.asarray(states, dtype=float), values)
 
 

@@ -30,7 +30,7 @@ def test_kick_from_the_formula_has_its_impulse() -> None:
 
 def test_kick_is_missed_without_the_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     """Shows that the previous test depends on the check."""
-    monkeypatch.setattr(WindowChecks, "unresolved", lambda *_, **__: [])
+    monkeypatch.setattr(WindowChecks, "_unbounded", lambda *_: np.empty(0, int))
     flow = flow_of(Hamiltonian(KICK))
     windows = march(flow, np.array([1.0, 0.5]), (0.0, 20.0), 1e-10, feature_basis(0), longest=2.5)
     assert windows.states[-1, 1] == pytest.approx(0.5, abs=1e-12)
@@ -47,7 +47,7 @@ def test_round_off_of_the_force_is_not_hidden_between_places(away: float) -> Non
 
 
 def test_energy_check_finds_hidden_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(WindowChecks, "unresolved", lambda *_, **__: [])
+    monkeypatch.setattr(WindowChecks, "_unbounded", lambda *_: np.empty(0, int))
     H = Hamiltonian("p**2/2 + x**2/2 + tanh(100000*(x - 1/3))/20")
     flow = flow_of(H)
     windows = march(flow, np.array([1.0, 0.0]), (0.0, 6.0), 1e-9, feature_basis(0), longest=0.75)

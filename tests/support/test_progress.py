@@ -107,17 +107,17 @@ def test_false_shows_nothing(cell: Cell, clock: Clock) -> None:
     with stepping_progress(2, show=False) as advance:
         clock.now += 5.0
         advance(1)
-    with training_progress(10, False) as callbacks:
+    with training_progress(10, False) as tell:
         clock.now += 5.0
-        callbacks[0](TrainingState(5, 10, 1e-3, 1e-4, 2e-2, clock.now))
+        tell(TrainingState(5, 10, 1e-3, 1e-4, 2e-2, clock.now))
     assert not cell.shown
 
 
 def test_a_training_leaves_its_loss(cell: Cell, clock: Clock) -> None:
-    with training_progress(10) as callbacks:
+    with training_progress(10) as tell:
         for iteration in (5, 10):
             clock.now += 3.0
-            callbacks[0](TrainingState(iteration, 10, 1e-3, 1e-4, 2e-2, clock.now))
+            tell(TrainingState(iteration, 10, 1e-3, 1e-4, 2e-2, clock.now))
     assert cell.lines[0] == "training: 50%, 3.0 s left, loss 1.0e-04, ell_max 2.0e-02"
     assert cell.lines[-1] == "training: 6.0 s, loss 1.0e-04, ell_max 2.0e-02"
 

@@ -11,7 +11,7 @@ import pytest
 import hamsym
 from hamsym.errors import InputError
 from hamsym.problems.conservation import KnownInvariants
-from hamsym.solution.invariant_check import judged_by_invariants
+from hamsym.solution.acceptance import judged_by_invariants
 
 KEPLER = "(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)"
 MOMENTUM = "x*p_y - y*p_x"
