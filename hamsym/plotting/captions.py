@@ -19,6 +19,7 @@ from hamsym.plotting.names import (
     math_name,
     math_unit,
     number,
+    sentence_words,
     shortened,
     words_of,
 )
@@ -134,10 +135,4 @@ def caption_words(
     - parameters: Values to show instead of those of H.
     """
     values = dict(H.parameters) if parameters is None else parameters
-    parts: list[Sequence[str]] = [formula_words(H), parameter_words(values, H)]
-    parts += [words_of(given) if isinstance(given, str) else given for given in sentences]
-    words: list[str] = []
-    for part in parts:
-        if part:
-            words += [*part[:-1], part[-1] if part[-1].endswith(".") else part[-1] + "."]
-    return words
+    return sentence_words([formula_words(H), parameter_words(values, H), *sentences])

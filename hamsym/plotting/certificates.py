@@ -13,7 +13,7 @@ from hamsym.plotting.captions import caption_words
 from hamsym.plotting.figure import figure_of, label, legend_above, one_panel
 from hamsym.plotting.names import math_name, number, quantity, words_of
 from hamsym.plotting.panels import Panel, draw_panels
-from hamsym.plotting.style import color_of, positive, style_for
+from hamsym.plotting.style import color_of, positive
 from hamsym.plotting.time_axes import (
     component_curves,
     fill_time,
@@ -185,7 +185,7 @@ def draw_box_certificate(found: BoxCertificate, *, ax: Any = None) -> Any:
     words += [f"{found.parts:,}", "parts", "of", "the", "box.", *words_of(f"H = {found.formula}.")]
     words += words_of(f"SHA-256 {found.digest[:16]}…")
     upper = np.array(found.bound)
-    with one_panel(ax, words, height=6.0) as axes, style_for(ax):
+    with one_panel(ax, words, height=6.0) as axes:
         names = [math_name(name) for name in found.components]
         _draw_intervals(axes, names, np.zeros_like(upper), upper)
         axes.set_title("Proven bound on the error of each component")

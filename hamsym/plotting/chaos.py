@@ -32,7 +32,6 @@ from hamsym.plotting.style import (
     color_of,
     line_styles,
     positive,
-    style_for,
 )
 
 _FEWEST = 1e-3  # part of the time from which on log(t)/t is drawn
@@ -255,7 +254,7 @@ def draw_lyapunov_map(found: LyapunovMap, *names: Any, ax: Any = None) -> Any:
     parameters = parameters_of(found.H, flat)[0]
     warning = "Interrupted: starts that were not finished are grey." if found.interrupted else ""
     caption = caption_words(found.H, *sentences, parameters=parameters)
-    with one_panel(ax, caption, warning, width=COLUMN + 2, height=8.0) as axes, style_for(ax):
+    with one_panel(ax, caption, warning, width=COLUMN + 2, height=8.0) as axes:
         axes.set_title(f"Largest exponent of {found.maximal.size:,} starts")
         if len(chosen) == 2:
             _scatter(axes, found, *chosen)

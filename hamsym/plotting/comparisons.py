@@ -11,7 +11,7 @@ from hamsym.integrators.trajectory import Trajectory
 from hamsym.plotting.captions import caption_words
 from hamsym.plotting.figure import Figure, figure_of, label, legend, one_panel, require_no_axes
 from hamsym.plotting.names import energy_unit, known_name, math_name, quantity
-from hamsym.plotting.style import PAGE, SAMPLES, line_style, style_for, styled
+from hamsym.plotting.style import PAGE, SAMPLES, line_style, styled
 from hamsym.plotting.time_axes import LARGEST, log_lines, name_curves
 from hamsym.study.compare import Comparison, Row
 
@@ -29,7 +29,7 @@ def draw_comparison(comparison: Comparison, *names: Any, ax: Any = None) -> Any:
     curves = _curves(comparison)
     if names:
         panel = known_name(names[0], list(_PANELS), "a panel of a comparison")
-        with one_panel(ax, caption, warning, height=7.0) as axes, style_for(ax):
+        with one_panel(ax, caption, warning, height=7.0) as axes:
             _PANELS[panel](axes, comparison, curves)
             legend(axes)
             return figure_of(axes)

@@ -17,7 +17,7 @@ from hamsym.plotting.motions import drawn_of, same_scale
 from hamsym.plotting.names import energy_unit, math_name, number, quantity, words_of
 from hamsym.plotting.phase_portraits import draw_contours, draw_levels
 from hamsym.plotting.spectra import draw_exponents_plane
-from hamsym.plotting.style import COLUMN, MARKERS, MAX_LINES, color_of, style_for
+from hamsym.plotting.style import COLUMN, MAX_LINES, marker_style
 
 _GRID, _LEVELS = 161, 16
 _QUADRATIC = 1e-6  # of the rates, which vanish at zero velocity
@@ -53,10 +53,8 @@ def draw_equilibria(found: Equilibria, *names: Any, ax: Any = None) -> Any:
         sentences.append("Open markers: one point of a continuum")
     if found.undecided:
         sentences.append("Hatched: parts that could not be decided")
-    with (
-        one_panel(ax, caption_words(H, *sentences), width=COLUMN + 2.5, height=8.0) as axes,
-        style_for(ax),
-    ):
+    caption = caption_words(H, *sentences)
+    with one_panel(ax, caption, width=COLUMN + 2.5, height=8.0) as axes:
         i, j = H.names.index(x), H.names.index(y)
         _draw_places(axes, found, there, i, j)
         _draw_undecided(axes, found, i, j)
@@ -64,7 +62,7 @@ def draw_equilibria(found: Equilibria, *names: Any, ax: Any = None) -> Any:
         _set_limits(axes, found, there, i, j, equal, _sizes_of(found, there, i, j))
         if equal:
             axes.set_aspect("equal")
-        sentences += _draw_behind(axes, H, x, y)
+        notes = _draw_behind(axes, H, x, y)
         label(axes.xaxis, *quantity(H, x))
         label(axes.yaxis, *quantity(H, y))
         count = f"{len(found):,} equilibri{'um' if len(found) == 1 else 'a'}"
@@ -72,7 +70,7 @@ def draw_equilibria(found: Equilibria, *names: Any, ax: Any = None) -> Any:
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
         figure = figure_of(axes)
         if ax is None:
-            figure.set_caption(caption_words(H, *sentences))
+            figure.add_to_caption(notes)
         return figure
 
 
@@ -81,11 +79,7 @@ def _draw_places(axes: Axes, found: Equilibria, there: list[int], i: int, j: int
     places = np.array([[found[k].z[i], found[k].z[j]] for k in there]).reshape(-1, 2)
     near = _NEAR * np.abs(np.diff([axes.get_xlim(), axes.get_ylim()])[:, 0])
     for number_of, kind in enumerate(kinds):
-        style: dict[str, Any] = {
-            "color": color_of(number_of),
-            "marker": MARKERS[(number_of + number_of // len(MARKERS)) % len(MARKERS)],
-        }
-        named = False
+        style, named = marker_style(number_of), False
         for filled in (True, False):
             own = [k for k in there if found[k].type == kind and (not found[k].family) == filled]
             if not own:
@@ -93,7 +87,6 @@ def _draw_places(axes: Axes, found: Equilibria, there: list[int], i: int, j: int
             axes.plot(
                 [found[k].z[i] for k in own],
                 [found[k].z[j] for k in own],
-                linestyle="none",
                 markersize=5,
                 markerfacecolor=style["color"] if filled else "none",
                 label=None if named else kind,
@@ -274,6 +267,6 @@ def draw_equilibrium(found: Equilibrium, *, ax: Any = None) -> Any:
         caption += words_of(f"In brackets, signs {signs}.")
     caption += words_of(f"{found.spectrum[:1].upper()}{found.spectrum[1:]}.")
     figure_words = caption + words_of(f"{found.evidence.partition(':')[0].capitalize()}.")
-    with one_panel(ax, figure_words, height=7.5) as axes, style_for(ax):
+    with one_panel(ax, figure_words, height=7.5) as axes:
         draw_exponents_plane(axes, found.eigenvalues, marks, f"Eigenvalues: {found.type}")
         return figure_of(axes)

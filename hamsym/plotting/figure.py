@@ -23,7 +23,7 @@ from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from hamsym.errors import InputError
-from hamsym.plotting.names import number, shortened, with_unit, words_of
+from hamsym.plotting.names import number, sentence_words, shortened, with_unit, words_of
 from hamsym.plotting.style import COLUMN, DISPLAY_DPI, STYLE, WARNING, shades, styled
 
 _CM = 1 / 2.54
@@ -60,8 +60,15 @@ class Figure(matplotlib.figure.Figure):
 
     def set_caption(self, caption: Sequence[str] = (), warning: str = "") -> None:
         """Replace caption and warning; the figure grows or shrinks by their height."""
+        self._replace(caption, words_of(warning))
+
+    def add_to_caption(self, sentences: Sequence[str | Sequence[str]]) -> None:
+        """Add sentences, plain text or words, to the caption."""
+        self._replace([*self._words, *sentence_words(sentences)], self._warning)
+
+    def _replace(self, words: Sequence[str], warning: Sequence[str]) -> None:
         before = sum(self._captions_height())
-        self._words, self._warning = tuple(caption), tuple(words_of(warning))
+        self._words, self._warning = tuple(words), tuple(warning)
         width, height = self.get_size_inches()
         self.set_size_inches(width, height - before + sum(self._captions_height()))
 

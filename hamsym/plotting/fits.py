@@ -21,7 +21,7 @@ from hamsym.plotting.names import (
     time_name,
 )
 from hamsym.plotting.names import number as shown_number
-from hamsym.plotting.style import COLUMN, GREY, PAGE, SAMPLES, color_of, style_for, styled
+from hamsym.plotting.style import COLUMN, GREY, PAGE, SAMPLES, color_of, styled
 from hamsym.support.validation import require_whole
 
 _MOST = 6  # observables of an overview
@@ -55,7 +55,7 @@ def draw_fit(found: Fit, *names: Any, number: int = 0, ax: Any = None) -> Any:
                 f"{len(chosen)} observables need panels of their own; with ax= name one of them: "
                 f"{', '.join(labels)}"
             )
-        with one_panel(ax, caption, warning) as axes, style_for(ax):
+        with one_panel(ax, caption, warning) as axes:
             _draw_data(axes, found, chosen[0], at)
             return figure_of(axes)
     with styled():

@@ -14,7 +14,7 @@ from hamsym.plotting.captions import axis_words, caption_words, formula_of
 from hamsym.plotting.figure import Figure, figure_of, label, one_panel, require_no_axes
 from hamsym.plotting.motions import drawn_of
 from hamsym.plotting.names import math_name, math_unit, number, time_name
-from hamsym.plotting.style import COLORS, COLUMN, PAGE, color_of, shades, style_for, styled
+from hamsym.plotting.style import COLORS, COLUMN, PAGE, color_of, shades, styled
 from hamsym.plotting.time_axes import label_time
 
 _MOST = 6  # panels of an overview
@@ -35,7 +35,7 @@ def draw_flow_map(flow: FlowMap, *names: Any, ax: Any = None) -> Any:
     if chosen:
         left = [words for each in chosen if (words := formula_of(each))]
         caption = _caption(flow, *left, over_time=len(chosen) == 1, planes=len(chosen) == 2)
-        with one_panel(ax, caption, warning, height=7.5) as axes, style_for(ax):
+        with one_panel(ax, caption, warning, height=7.5) as axes:
             if len(chosen) == 1:
                 _draw_range(axes, flow, chosen[0])
             else:

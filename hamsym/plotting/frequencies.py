@@ -13,7 +13,7 @@ from hamsym.errors import InputError
 from hamsym.plotting.captions import caption_words
 from hamsym.plotting.figure import figure_of, label, legend, one_panel
 from hamsym.plotting.names import number
-from hamsym.plotting.style import SEQUENTIAL, color_of, style_for
+from hamsym.plotting.style import SEQUENTIAL, color_of
 
 
 def draw_frequencies(found: Frequencies, *, ax: Any = None) -> Any:
@@ -21,7 +21,7 @@ def draw_frequencies(found: Frequencies, *, ax: Any = None) -> Any:
     if not np.isfinite(found.frequency).any():
         raise InputError("no frequency was found; there is nothing to draw")
     caption = caption_words(found.H, f"Signals {', '.join(found.signals)}")
-    with one_panel(ax, caption, height=8.0) as axes, style_for(ax):
+    with one_panel(ax, caption, height=8.0) as axes:
         if found.frequency.ndim == 2:
             _draw_lines(axes, found)
         else:

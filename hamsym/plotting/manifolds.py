@@ -20,7 +20,7 @@ from hamsym.plotting.bodies import bodies_of
 from hamsym.plotting.captions import axis_words, caption_words
 from hamsym.plotting.figure import figure_of, label, legend_above, one_panel
 from hamsym.plotting.motions import drawn_of, equal_aspect, paths_in_space, same_scale
-from hamsym.plotting.style import COLORS, style_for
+from hamsym.plotting.style import COLORS
 from hamsym.problems.surface import parse_surface
 
 _COLOR = {"unstable": COLORS[1], "stable": COLORS[0]}
@@ -75,7 +75,7 @@ def _drawn(
     sentences += [f"Both parts meet on {one.surface} to {one.mismatch:.1e}" for one in connecting]
     caption = caption_words(H, *sentences)
     projection = "3d" if len(drawn) == 3 else None
-    with one_panel(ax, caption, warning, height=7.5, projection=projection) as axes, style_for(ax):
+    with one_panel(ax, caption, warning, height=7.5, projection=projection) as axes:
         notes = _in_space(axes, lines, drawn) if projection else _in_plane(axes, H, lines, drawn)
         if ax is None:
             axes.set_title("Manifolds" if parts else "Connection", loc="left")
@@ -190,7 +190,7 @@ def draw_connections(found: Connections, *names: Any, ax: Any = None) -> Any:
         raise InputError("name two components or formulas for their plane, or none")
     sentences = [f"Section {found.surface}: {found.message}"]
     caption, warning = caption_words(H, *sentences), found.facts.warning
-    with one_panel(ax, caption, warning, height=7.5) as axes, style_for(ax):
+    with one_panel(ax, caption, warning, height=7.5) as axes:
         for part, cut in zip((found.unstable, found.stable), found.cuts, strict=True):
             _draw_cut(axes, part, cut, drawn)
         for k, one in enumerate(found):

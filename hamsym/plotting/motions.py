@@ -34,7 +34,6 @@ from hamsym.plotting.style import (
     MAX_LINES,
     SEQUENTIAL,
     line_styles,
-    style_for,
 )
 from hamsym.plotting.time_axes import envelope, fill_time, label_time
 from hamsym.support.suggestions import similar, unknown
@@ -415,7 +414,7 @@ def draw_motion(motion: Motion, drawn: Sequence[Observable], ax: Any) -> Any:
     wider = 1.0 if motion.mapped or spatial else 1.8 if any(motion.labels()) else 0.0
     size: dict[str, Any] = {"width": COLUMN + wider, "height": 6.0 if len(drawn) == 1 else 7.5}
     size["projection"] = "3d" if spatial else None
-    with one_panel(ax, motion.caption(), motion.warning, **size) as axes, style_for(ax):
+    with one_panel(ax, motion.caption(), motion.warning, **size) as axes:
         if len(drawn) == 1:
             over_time(axes, motion, drawn[0])
         elif spatial:

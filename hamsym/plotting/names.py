@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import sympy
@@ -78,6 +78,16 @@ def words_of(text: str) -> list[str]:
     if len(text) > _LONGEST_TEXT:  # of a file, which may have any
         text = f"{text[:_LONGEST_TEXT]} ... ({len(text):,} characters)"
     return escaped(text).split()
+
+
+def sentence_words(sentences: Iterable[str | Sequence[str]]) -> list[str]:
+    """Return sentences, plain text or words, as the words of a caption; empty ones are left out."""
+    words: list[str] = []
+    for given in sentences:
+        part = words_of(given) if isinstance(given, str) else given
+        if part:
+            words += [*part[:-1], part[-1] if part[-1].endswith(".") else part[-1] + "."]
+    return words
 
 
 def math_name(name: str) -> str:

@@ -13,27 +13,20 @@ from hamsym.codegen.observable import Observable
 from hamsym.errors import InputError
 from hamsym.families.solutions import Solutions
 from hamsym.plotting.energies import draw_energies
-from hamsym.plotting.figure import (
-    figure_of,
-    label,
-    legend,
-    legend_above,
-    one_panel,
-    require_no_axes,
-)
+from hamsym.plotting.figure import label, legend, legend_above
 from hamsym.plotting.motions import (
     Motion,
     chosen_members,
-    draw_motion,
     drawn_of,
     formulas_of,
     parameters_of,
     varying,
 )
 from hamsym.plotting.names import energy_unit, quantity, time_name
-from hamsym.plotting.overview import MotionPanels
+from hamsym.plotting.overview import draw_motions
+from hamsym.plotting.panels import Draw
 from hamsym.plotting.sampling import resolved, thinned
-from hamsym.plotting.style import SAMPLES, WARNING, color_of, style_for, styled
+from hamsym.plotting.style import SAMPLES, WARNING, color_of
 from hamsym.plotting.time_axes import (
     LARGEST,
     component_curves,
@@ -55,42 +48,23 @@ def draw_solution(
     solution: Solution, *names: Any, ax: Any = None, certificate: Certificate | None = None
 ) -> Any:
     """Draw a solution; see :meth:`hamsym.Solution.plot`."""
-    H = solution.H
     certificate = solution.certificate if certificate is None else certificate
     if not isinstance(certificate, Certificate | None):
         raise InputError(
             f"certificate is a {type(certificate).__name__}; give what solution.certify() returns"
         )
-    word, drawn = drawn_of(H, names, _WORDS)
+    word, drawn = drawn_of(solution.H, names, _WORDS)
     motion = _motion(solution, formulas_of(drawn))
-    if not names:
-        require_no_axes(ax, f"'{H.names[0]}', '{H.names[H.dof]}'")
-        with styled():
-            panels = MotionPanels(motion, 4)
-            error, energy, residual, last = panels.free
-            notes = draw_error(error, solution, certificate)
-            draw_energy_error(energy, solution)
-            draw_residual(residual, solution)
-            if solution.record.edges is None:
-                draw_search(last, solution)
-            else:
-                draw_energies(last, motion)
-            return panels.finished(*notes, LARGEST)
-    if word:
-        with one_panel(ax, (), motion.warning, height=6.0) as axes, style_for(ax):
-            notes = []
-            if word == "error":
-                notes = draw_error(axes, solution, certificate)
-            elif word == "energies":
-                draw_energies(axes, motion)
-            else:
-                draw = {"residual": draw_residual, "energy": draw_energy_error}
-                draw.get(word, draw_search)(axes, solution)
-            if ax is None:
-                notes += [] if word in ("search", "energies") else [LARGEST]
-                figure_of(axes).set_caption(motion.caption(*notes), motion.warning)
-            return figure_of(axes)
-    return draw_motion(motion, drawn, ax)
+    draws: tuple[Draw, ...] = (
+        lambda axes: draw_error(axes, solution, certificate),
+        lambda axes: draw_residual(axes, solution),
+        lambda axes: draw_energy_error(axes, solution),
+        lambda axes: draw_energies(axes, motion),
+        lambda axes: draw_search(axes, solution),
+    )
+    last = "search" if solution.record.edges is None else "energies"
+    panels = dict(zip(_WORDS, draws, strict=True))
+    return draw_motions(motion, word, drawn, ax, panels, ("error", "energy", "residual", last))
 
 
 def _motion(solution: Solution, formulas: Sequence[Observable]) -> Motion:
@@ -156,10 +130,10 @@ def draw_error(axes: Axes, solution: Solution, certificate: Certificate | None =
     log_lines(axes, t, component_curves(H, values), lines=lines, unknown="infinite where not drawn")
     name_curves(axes, H, "Estimated error", "error / size")
     legend_above(axes)
-    return notes
+    return [*notes, LARGEST]
 
 
-def draw_residual(axes: Axes, solution: Solution) -> None:
+def draw_residual(axes: Axes, solution: Solution) -> list[str]:
     """Draw the residual of each component relative to its largest rate."""
     t = _times(solution)
     residual = np.asarray(solution.residual(t))
@@ -167,20 +141,22 @@ def draw_residual(axes: Axes, solution: Solution) -> None:
     log_lines(axes, t, component_curves(solution.H, _relative(residual, rates)))
     name_curves(axes, solution.H, r"Residual $\ell$", r"$|\ell_i|\,/\,\max|\dot z_i|$")
     legend_above(axes)
+    return [LARGEST]
 
 
-def draw_energy_error(axes: Axes, solution: Solution) -> None:
+def draw_energy_error(axes: Axes, solution: Solution) -> list[str]:
     """Draw the change of H, less the work of forces and explicit time."""
     H, t = solution.H, _times(solution)
     jumps = (sympy.sign, sympy.Heaviside, sympy.Piecewise, sympy.floor)
     if H.time is not None and any(H.expr.has(kind) for kind in jumps):
         axes.plot(t, solution.energy(t), color=color_of(0))
         name_curves(axes, H, "Energy", "$H$", energy_unit(H))
-        return
+        return [LARGEST]
     with np.errstate(all="ignore"):
         drift = np.abs(np.asarray(solution.energy_drift(t)))
     log_lines(axes, t, [(drift, {"color": color_of(0)})], unknown="unknown")
     name_energy_error(axes, H)
+    return [LARGEST]
 
 
 def draw_search(axes: Axes, solution: Solution) -> None:
@@ -214,28 +190,15 @@ def draw_search(axes: Axes, solution: Solution) -> None:
 
 def draw_solutions(many: Solutions, *names: Any, ax: Any = None) -> Any:
     """Draw an ensemble; see :meth:`hamsym.Solutions.plot`."""
-    H, words = many.H, ("error", "energy")
     if not many.size:
         raise InputError("there are no trajectories to draw; solve at least one")
-    word, drawn = drawn_of(H, names, words)
+    word, drawn = drawn_of(many.H, names, ("error", "energy"))
     motion, shown = _ensemble(many, formulas_of(drawn))
-    if not names:
-        require_no_axes(ax, f"'{H.names[0]}', '{H.names[H.dof]}'")
-        with styled():
-            panels = MotionPanels(motion, 2)
-            _draw_member_errors(panels.free[0], many)
-            _draw_energies(panels.free[1], shown, motion)
-            return panels.finished(LARGEST)
-    if word:
-        with one_panel(ax, motion.caption(), motion.warning, height=6.0) as axes, style_for(ax):
-            if word == "error":
-                _draw_member_errors(axes, many)
-            else:
-                _draw_energies(axes, shown, motion)
-                motion.legend(axes)
-                motion.color_bar(axes)
-            return figure_of(axes)
-    return draw_motion(motion, drawn, ax)
+    panels: dict[str, Draw] = {
+        "error": lambda axes: _draw_member_errors(axes, many),
+        "energy": lambda axes: _draw_energies(axes, shown, motion),
+    }
+    return draw_motions(motion, word, drawn, ax, panels, [*panels], [LARGEST], {"energy"})
 
 
 def _ensemble(many: Solutions, formulas: Sequence[Observable]) -> tuple[Motion, Solutions]:

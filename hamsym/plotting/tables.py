@@ -11,7 +11,7 @@ from hamsym.facts.facts import Column
 from hamsym.plotting.captions import caption_words
 from hamsym.plotting.figure import figure_of, label, legend, one_panel
 from hamsym.plotting.names import words_of
-from hamsym.plotting.style import color_of, style_for
+from hamsym.plotting.style import color_of
 
 
 def draw_table(result: Any, *, ax: Any = None) -> Any:
@@ -24,7 +24,7 @@ def draw_table(result: Any, *, ax: Any = None) -> Any:
     words = words_of(". ".join(facts.opening))
     if hasattr(result, "H"):
         words = caption_words(result.H, *facts.opening)
-    with one_panel(ax, words, facts.warning) as axes, style_for(ax):
+    with one_panel(ax, words, facts.warning) as axes:
         rows = [str(name) for name in table.names]
         try:
             places, named = np.array([float(row) for row in rows]), False

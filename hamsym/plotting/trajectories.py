@@ -14,19 +14,18 @@ from hamsym.errors import InputError
 from hamsym.integrators.interpolation import Interpolant
 from hamsym.integrators.trajectory import Trajectory
 from hamsym.plotting.energies import draw_energies
-from hamsym.plotting.figure import figure_of, one_panel, require_no_axes
 from hamsym.plotting.motions import (
     Motion,
     chosen_members,
-    draw_motion,
     drawn_of,
     formulas_of,
     parameters_of,
     varying,
 )
-from hamsym.plotting.overview import MotionPanels
+from hamsym.plotting.overview import draw_motions
+from hamsym.plotting.panels import Draw
 from hamsym.plotting.sampling import resolved, with_formulas
-from hamsym.plotting.style import SAMPLES, style_for, styled
+from hamsym.plotting.style import SAMPLES
 from hamsym.plotting.time_axes import log_lines, name_curves, name_energy_error
 
 _SAVE_MORE = "Dots: the saved states, which are too far apart for lines between them; save more"
@@ -34,44 +33,28 @@ _SAVE_MORE = "Dots: the saved states, which are too far apart for lines between 
 
 def draw_trajectory(trajectory: Trajectory, *names: Any, ax: Any = None) -> Any:
     """Draw a trajectory or an ensemble; see :meth:`hamsym.Trajectory.plot`."""
-    H = trajectory.ensemble.H
-    estimated = trajectory.errors is not None
-    words = ("energy", "error") if estimated else ("energy",)
-    one = len(trajectory.ensemble) == 1
-    if not len(trajectory.ensemble):
+    total = len(trajectory.ensemble)
+    if not total:
         raise InputError("there are no trajectories to draw; integrate at least one")
-    chosen = chosen_members(len(trajectory.ensemble))
-    word, drawn = drawn_of(H, names, ("energy", "error", "energies"))
+    chosen = chosen_members(total)
+    word, drawn = drawn_of(trajectory.ensemble.H, names, ("energy", "error", "energies"))
+    if word == "energies" and total > 1:
+        raise InputError(
+            f"energies are drawn of one trajectory, not of {total:,}; integrate one of them"
+        )
+    if word == "error" and trajectory.errors is None:
+        raise InputError(
+            "this trajectory has no error estimate; integrate with tol=, for example tol=1e-9"
+        )
     motion = _motion(trajectory, chosen, formulas_of(drawn))
-    draw = {"energy": _draw_energy, "error": _draw_error}
-    if not names:
-        require_no_axes(ax, f"'{H.names[0]}', '{H.names[H.dof]}'")
-        with styled():
-            panels = MotionPanels(motion, len(words) + one)
-            for axes, each in zip(panels.free, words, strict=False):
-                draw[each](axes, trajectory, motion, chosen)
-            if one:
-                draw_energies(panels.free[-1], motion)
-            return panels.finished()
-    if word:
-        if word == "energies" and not one:
-            raise InputError(
-                f"energies are drawn of one trajectory, not of {len(trajectory.ensemble):,}; "
-                "integrate one of them"
-            )
-        if word == "error" and not estimated:
-            raise InputError(
-                "this trajectory has no error estimate; integrate with tol=, for example tol=1e-9"
-            )
-        with one_panel(ax, motion.caption(), motion.warning, height=6.0) as axes, style_for(ax):
-            if word == "energies":
-                draw_energies(axes, motion)
-            else:
-                draw[word](axes, trajectory, motion, chosen)
-            motion.legend(axes)
-            motion.color_bar(axes)
-            return figure_of(axes)
-    return draw_motion(motion, drawn, ax)
+    panels: dict[str, Draw] = {
+        "energy": lambda axes: _draw_energy(axes, trajectory, motion, chosen)
+    }
+    if trajectory.errors is not None:
+        panels["error"] = lambda axes: _draw_error(axes, trajectory, motion, chosen)
+    if total == 1:
+        panels["energies"] = lambda axes: draw_energies(axes, motion)
+    return draw_motions(motion, word, drawn, ax, panels, [*panels], keyed=panels)
 
 
 def _motion(trajectory: Trajectory, chosen: np.ndarray, formulas: Sequence[Observable]) -> Motion:
