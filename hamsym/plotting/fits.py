@@ -12,10 +12,11 @@ from hamsym.fitting.fitted import Fit
 from hamsym.plotting.captions import caption_words
 from hamsym.plotting.figure import Figure, figure_of, label, legend_above, one_panel
 from hamsym.plotting.names import (
+    amount,
+    enumerated,
     escaped,
     known_name,
     math_name,
-    math_unit,
     quantity,
     shortened,
     time_name,
@@ -77,15 +78,12 @@ def draw_fit(found: Fit, *names: Any, number: int = 0, ax: Any = None) -> Any:
 
 def _sentences(found: Fit, at: tuple[int, ...], several: bool) -> list[Any]:
     """Return the estimates with their standard errors, and how well they fit."""
-    words = ["Fitted:"]
+    estimates = []
     for name, value in found.parameters.items():
         error = float(np.asarray(found.standard_errors[name])[at])
-        unit = math_unit(found.H.units.get(name, "1"))
         estimate = shown_number(float(np.asarray(value)[at]), 6)
-        text = f"{math_name(name)} = {estimate} ± {shown_number(error, 2)}"
-        words += f"{text} {unit}".strip().split()
-        words[-1] += ","
-    words[-1] = words[-1].removesuffix(",")
+        text = f"{math_name(name)} = {estimate} ± {amount(found.H, name, error, 2)}"
+        estimates.append(text.split())
     chi = float(np.asarray(found.chi_square)[at])
     freedom = int(np.asarray(found.degrees_of_freedom)[at])
     quality = f"$\\chi^2$ = {shown_number(chi, 4)} with {freedom:,} degrees of freedom"
@@ -93,7 +91,7 @@ def _sentences(found: Fit, at: tuple[int, ...], several: bool) -> list[Any]:
     if np.isfinite(p):
         quality += f" (p = {shown_number(p, 2)})"
     head = [f"Set {at[0]}"] if several else []
-    return [*head, words, quality.split()]
+    return [*head, ["Fitted:", *enumerated(estimates)], quality.split()]
 
 
 def _named(found: Fit, name: str) -> tuple[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -11,10 +12,11 @@ from hamsym.codegen.observable import Observable
 from hamsym.errors import InputError
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.plotting.captions import axis_words, caption_words, formula_of
-from hamsym.plotting.figure import Figure, figure_of, label, one_panel, require_no_axes
+from hamsym.plotting.figure import figure_of, label, one_panel, require_no_axes
 from hamsym.plotting.motions import drawn_of
-from hamsym.plotting.names import math_name, math_unit, number, time_name
-from hamsym.plotting.style import COLORS, COLUMN, PAGE, color_of, shades, styled
+from hamsym.plotting.names import amount, enumerated, math_name, number, time_name
+from hamsym.plotting.panels import Panel, draw_panels
+from hamsym.plotting.style import COLORS, COLUMN, PAGE, color_of, shades
 from hamsym.plotting.time_axes import label_time
 
 _MOST = 6  # panels of an overview
@@ -47,41 +49,38 @@ def draw_flow_map(flow: FlowMap, *names: Any, ax: Any = None) -> Any:
     total = H.dof if whole else H.dim
     shown = min(total, _MOST)
     pairs = [k + side for k in range(H.dof) for side in (0, H.dof)]
-    chosen_dofs = list(range(shown)) if whole else pairs[:shown]
     others: list[str] = []
     components = [H.observable(name) for name in H.names]
     if shown < total:
         what = "phase planes" if whole else "components"
         other = f"'{H.names[H.dof - 1]}', '{H.names[-1]}'" if whole else f"'{H.names[-1]}'"
         others = [f"{shown} of {total} {what} are drawn; plot({other}) draws others"]
-    with styled():
-        caption = _caption(flow, *others, over_time=not whole, planes=whole)
-        columns = min(shown, 3) if whole else 2
-        rows = -(-shown // columns)
-        size = PAGE if columns > 1 else COLUMN
-        height = rows * (size / columns if whole else 4.5)
-        figure = Figure.of_size(size, height, caption, warning)
-        grid = figure.subplots(rows, columns, squeeze=False).ravel()
-        for axes, k in zip(grid, chosen_dofs, strict=False):
-            if whole:
-                _draw_plane(axes, flow, components[k], components[H.dof + k])
-            else:
-                _draw_range(axes, flow, components[k])
-        for axes in grid[shown:]:
-            axes.remove()
-        grid[0].legend(fontsize=6, ncols=2 if whole else 1)
-        return figure
+    columns = min(shown, 3) if whole else 2
+    height = (PAGE / columns if columns > 1 else COLUMN) if whole else 4.5
+
+    def draw(axes: Axes, k: int) -> None:
+        if whole:
+            _draw_plane(axes, flow, components[k], components[H.dof + k])
+        else:
+            _draw_range(axes, flow, components[k])
+        if k == 0:
+            axes.legend(fontsize=6, ncols=2 if whole else 1)
+
+    panels = {
+        H.names[k]: Panel(functools.partial(draw, k=k), height)
+        for k in (range(shown) if whole else pairs[:shown])
+    }
+    caption = _caption(flow, *others, over_time=not whole, planes=whole)
+    return draw_panels(panels, list(panels), (), None, caption, warning, columns=columns)
 
 
 def _caption(flow: FlowMap, *sentences: Any, over_time: bool, planes: bool) -> list[str]:
     H, varied = flow.H, flow.box
-    words: list[str] = ["Box:"]
-    for name, (low, high) in varied.items():
-        unit = math_unit(H.units.get(name, "1"))
-        end = f"{number(high, 4)} {unit}".strip()
-        words += [math_name(name), "from", number(low, 4), "to", *f"{end},".split()]
-    words[-1] = words[-1].removesuffix(",")
-    parts: list[Any] = [words]
+    ranges = [
+        [math_name(name), "from", number(low, 4), "to", *amount(H, name, high, 4).split()]
+        for name, (low, high) in varied.items()
+    ]
+    parts: list[Any] = [["Box:", *enumerated(ranges)]]
     if planes:
         at_centre = "" if H.dof == 1 and len(flow.region) == 2 else ", through its centre"
         parts.append(f"Shaded: the box{at_centre} at six times")
@@ -113,10 +112,9 @@ def _draw_plane(axes: Axes, flow: FlowMap, x: Observable, y: Observable) -> None
     label(axes.xaxis, *axis_words(x))
     label(axes.yaxis, *axis_words(y))
     times = np.linspace(*flow.span, len(COLORS))
-    unit = math_unit(H.units.get(time_name(H), "1"))
     edge = _edge_of(flow, x.text, y.text)
     for t, color in zip(times, shades(len(times)), strict=True):
-        text = f"$t$ = {number(float(t), 4)} {unit}".strip()
+        text = f"$t$ = {amount(H, time_name(H), float(t), 4)}"
         if edge is not None:
             own = np.full(len(edge), t), box.at(edge)
             sides = _values(flow, x, *own), _values(flow, y, *own)

@@ -21,6 +21,7 @@ from hamsym.plotting.captions import axis_words, caption_words, formula_of
 from hamsym.plotting.figure import color_bar, figure_of, label, legend, one_panel
 from hamsym.plotting.names import (
     distinct_numbers,
+    enumerated,
     math_name,
     number,
     quantity,
@@ -179,16 +180,13 @@ def parameters_of(
 
     The ranges of the others are the words of a sentence.
     """
-    words: list[str] = []
-    same = dict(H.parameters)
-    for name, values in varied.items():
-        if np.ptp(values) > 0:
-            del same[name]
-            low, high = number(values.min(), 4), number(values.max(), 4)
-            words += [math_name(name), "from", low, "to", f"{high},"]
-    if not words:
-        return None, []
-    return same, [*words[:-1], words[-1].removesuffix(",")]
+    ranges = {
+        name: [math_name(name), "from", number(values.min(), 4), "to", number(values.max(), 4)]
+        for name, values in varied.items()
+        if np.ptp(values) > 0
+    }
+    same = {name: value for name, value in H.parameters.items() if name not in ranges}
+    return same if ranges else None, enumerated(ranges.values())
 
 
 # -- panels ----------------------------------------------------------------------------------------

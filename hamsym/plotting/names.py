@@ -90,6 +90,14 @@ def sentence_words(sentences: Iterable[str | Sequence[str]]) -> list[str]:
     return words
 
 
+def enumerated(parts: Iterable[Sequence[str]]) -> list[str]:
+    """Return the words of several parts, with commas between the parts."""
+    words: list[str] = []
+    for part in parts:
+        words += [*part[:-1], f"{part[-1]},"]
+    return [*words[:-1], words[-1].removesuffix(",")] if words else []
+
+
 def math_name(name: str) -> str:
     """Return a name as matplotlib draws mathematics; other names as plain, shortened text.
 
@@ -153,6 +161,11 @@ def distinct_numbers(values: Sequence[float], digits: int = 4) -> list[str]:
 def quantity(H: Hamiltonian, name: str) -> tuple[str, str]:
     """Return a name as mathematics and its unit, for :func:`label`."""
     return math_name(name), math_unit(H.units.get(name, "1"))
+
+
+def amount(H: Hamiltonian, name: str, value: float, digits: int = 6) -> str:
+    """Return a value of a component, a parameter or the time, with its unit."""
+    return f"{number(value, digits)} {math_unit(H.units.get(name, '1'))}".strip()
 
 
 def with_unit(text: str, unit: str, power: str = "") -> str:

@@ -25,7 +25,7 @@ from hamsym.plotting.motions import (
     drawn_of,
     formulas_of,
 )
-from hamsym.plotting.names import energy_unit, number, quantity, time_name
+from hamsym.plotting.names import amount, energy_unit, number, quantity, time_name
 from hamsym.plotting.panels import Panel, draw_panels
 from hamsym.plotting.sampling import resolved, with_formulas
 from hamsym.plotting.spectra import draw_multipliers
@@ -42,9 +42,9 @@ def draw_orbit(orbit: PeriodicOrbit, *names: Any, ax: Any = None) -> Any:
     times = orbit.problem.start + np.linspace(0, orbit.period, SAMPLES)
     formulas = formulas_of(drawn)
     t, z, apart = resolved(orbit, times, formulas=formulas)
-    time, energy = quantity(H, time_name(H))[1], energy_unit(H)
-    words = ["Period", f"{number(orbit.period, 8)} {time}".strip() + ",", "energy"]
-    words += [f"{number(orbit.energy, 8)} {energy}".strip() + ",", orbit.stability]
+    energy = f"{number(orbit.energy, 8)} {energy_unit(H)}".strip()
+    period = amount(H, time_name(H), orbit.period, 8)
+    words = ["Period", f"{period},", "energy", f"{energy},", orbit.stability]
     headline = orbit.facts.headline
     sentences, warning = [words, headline[:1].upper() + headline[1:]], orbit.facts.warning
     motion = Motion(

@@ -141,7 +141,8 @@ def test_logarithmic_values_keep_small_ones() -> None:
 
 
 def test_long_lists_of_parameters_are_counted() -> None:
-    words = parameter_words({f"k{i}": float(i) for i in range(12)})
+    H = hamsym.Hamiltonian("p**2/2 + x**2/2")
+    words = parameter_words(H, {f"k{i}": float(i) for i in range(12)})
     assert " ".join(words).endswith("and 2 more parameters")
 
 
