@@ -179,14 +179,8 @@ class Command(click.Command):
 
 
 def _section(parameter: click.Parameter) -> str:
-    given = getattr(parameter, "section", None)
-    if given is not None:
-        return str(given)
-    for option in parameter.opts:
-        title = _SECTIONS.get(option.lstrip("-"))
-        if title is not None:
-            return title
-    return "Method"
+    titles = (_SECTIONS.get(option.lstrip("-")) for option in parameter.opts)
+    return getattr(parameter, "section", None) or next(filter(None, titles), "Method")
 
 
 def _continued(command: str, width: int) -> list[str]:
@@ -253,9 +247,6 @@ class Group(click.Group):
 
 class Choice(click.Choice):
     """A choice among names, whose error suggests a similar one."""
-
-    def __init__(self, names: Iterable[str]) -> None:
-        super().__init__(list(names))
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         names = [str(name) for name in self.choices]

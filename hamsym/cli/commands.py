@@ -24,14 +24,12 @@ import click
 from hamsym.cli.catalogue import systems
 from hamsym.cli.command import HELP, ClosedPipeError, Group, InterruptError
 from hamsym.cli.derivation import derive, invariants, source
-from hamsym.cli.equilibria import equilibria
-from hamsym.cli.exploring import explore
-from hamsym.cli.exporting import export, report
+from hamsym.cli.dynamics import equilibria, lyapunov, orbit, section
 from hamsym.cli.fitting import fit
-from hamsym.cli.orbits import orbit
 from hamsym.cli.paper import reproduce
 from hamsym.cli.proofs import certify, verify
-from hamsym.cli.trajectories import compare, integrate, lyapunov, section, solve
+from hamsym.cli.sharing import explore, export, report
+from hamsym.cli.trajectories import compare, integrate, solve
 from hamsym.errors import CertificationError, HamsymError, StepSizeWarning
 from hamsym.support.text_tables import WIDTH
 

@@ -13,6 +13,7 @@ from hamsym.cli.output import check_figure, check_table, save_figure, write_tabl
 from hamsym.cli.texts import NAMES, STATE, TIME, assignments, formulas, joined
 from hamsym.errors import InputError
 from hamsym.support.suggestions import similar
+from hamsym.support.text_tables import ROWS
 from hamsym.support.text_tables import wrapped as wrapped_text
 
 if TYPE_CHECKING:
@@ -195,18 +196,13 @@ def integrators() -> list[str]:
     return [*INTEGRATORS, *ALIASES]
 
 
-def rows_option(rows: int | None) -> Callable[[Command], Command]:
-    """Add --full; the command takes the number of rows of its tables."""
-
-    def decorate(command: Command) -> Command:
-        @click.option("--full", is_flag=True, help="Print all rows of tables.")
-        @functools.wraps(command)
-        def wrapped(*arguments: Any, full: bool, **options: Any) -> Any:
-            return command(*arguments, rows=None if full else rows, **options)
-
-        return wrapped
-
-    return decorate
+#: Adds --full; the command takes the number of rows of its tables.
+rows_option = click.option(
+    *("--full", "rows"),
+    is_flag=True,
+    callback=lambda _, __, full: None if full else ROWS,
+    help="Print all rows of tables.",
+)
 
 
 def figure_options(command: Command) -> Command:
@@ -241,6 +237,9 @@ def figure_options(command: Command) -> Command:
     return wrapped
 
 
+#: A result that has ``plot``, its report, columns of a .csv file, and arrays of a .npz file.
+Output = tuple[Any, Report, list[tuple[str, Any]], dict[str, Any]]
+
 #: Writes the figure of a result, if one was asked for, and adds it to the files of a report.
 Draw = Callable[[Any, Report], None]
 
@@ -248,8 +247,7 @@ Draw = Callable[[Any, Report], None]
 def output_options(table_help: str) -> Callable[[Command], Command]:
     """Add -o for a table and --plot, which are checked before the command runs.
 
-    The command returns a result that has ``plot``, its report, the columns of a .csv file and the
-    arrays of a .npz file. They are written, and the report is returned.
+    The command returns an :data:`Output`; its table is written, and the report is returned.
     """
 
     def decorate(command: Command) -> Command:
