@@ -21,9 +21,8 @@ from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.problems.problem import InitialValueProblem
 from hamsym.solution.solution import Solution
 from hamsym.study.compare import Row, measure
-from hamsym.study.processes import carry_out
 from hamsym.study.references import ReferenceSolution
-from hamsym.study.runs import Run, arguments_of, planned_run
+from hamsym.study.runs import Run, arguments_of, carry_out, planned_run
 from hamsym.support.locking import exclusive
 from hamsym.support.machine import available_cores
 from hamsym.support.method_object import Method

@@ -19,6 +19,7 @@ import hamsym
 from hamsym.cli.commands import main
 from hamsym.errors import HamsymError, InputError, ParseError
 from hamsym.workbench.explore import session, tasks
+from hamsym.workbench.explore.messages import Setting, usual_state
 from hamsym.workbench.explore.session import (
     FIRST,
     MOST_TABS,
@@ -27,7 +28,6 @@ from hamsym.workbench.explore.session import (
     Sessions,
     excerpt,
 )
-from hamsym.workbench.explore.setting import Setting, usual_state
 from hamsym.workbench.mathml import mathml
 
 
@@ -292,7 +292,7 @@ def test_second_button_waits_for_none(tab, monkeypatch):
             await tab.job("exponents", 30.0, 5.0)
         await first
 
-    from hamsym.workbench.explore.results import JobResult
+    from hamsym.workbench.explore.messages import JobResult
 
     monkeypatch.setattr(tasks, "certify", lambda *_: JobResult("proven"))
     asyncio.run(press_both())

@@ -12,8 +12,7 @@ from typing import Any
 from hamsym.errors import HamsymError, InputError
 from hamsym.parallel.processes import Worker
 from hamsym.workbench.explore import tasks
-from hamsym.workbench.explore.results import Derivation, JobResult, Motion, Verdict
-from hamsym.workbench.explore.setting import Setting
+from hamsym.workbench.explore.messages import Derivation, JobResult, Motion, Setting, Verdict
 
 FIRST = Setting("p**2/2 + x**2/2 + x**4/4", z0={"x": 1.3, "p": 1.0}, span=(0.0, 20.0))
 _LIVE_LIMIT = 15.0  # seconds of what is drawn while a slider moves

@@ -12,7 +12,7 @@ from nicegui import ui
 from hamsym.codegen.backends import BACKENDS
 from hamsym.errors import HamsymError
 from hamsym.integrators.table import INTEGRATORS
-from hamsym.workbench.explore.results import JobResult
+from hamsym.workbench.explore.messages import JobResult
 from hamsym.workbench.explore.session import Session
 
 _HIDDEN = "balls"  # a backend for proofs, which no program of the reader runs

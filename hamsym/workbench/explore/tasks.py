@@ -21,8 +21,7 @@ from hamsym.formula.parser import parse_number
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.systems.catalogue import CATALOGUE
 from hamsym.workbench.equations import equations
-from hamsym.workbench.explore.results import Derivation, JobResult, Motion, Verdict
-from hamsym.workbench.explore.setting import Setting
+from hamsym.workbench.explore.messages import Derivation, JobResult, Motion, Setting, Verdict
 from hamsym.workbench.lessons.lesson import system_code, usual_range
 from hamsym.workbench.lessons.problem import problem
 from hamsym.workbench.lessons.start import proposed_start
