@@ -16,8 +16,7 @@ from hamsym.plotting.figure import Figure, figure_of, label, one_panel
 from hamsym.plotting.motions import drawn_of, same_scale
 from hamsym.plotting.names import energy_unit, math_name, number, quantity, words_of
 from hamsym.plotting.phase_portraits import draw_contours, draw_levels
-from hamsym.plotting.spectra import draw_exponents_plane
-from hamsym.plotting.style import COLUMN, MAX_LINES, marker_style
+from hamsym.plotting.style import COLUMN, GREY, MAX_LINES, color_of, marker_style
 
 _GRID, _LEVELS = 161, 16
 _QUADRATIC = 1e-6  # of the rates, which vanish at zero velocity
@@ -268,5 +267,34 @@ def draw_equilibrium(found: Equilibrium, *, ax: Any = None) -> Any:
     caption += words_of(f"{found.spectrum[:1].upper()}{found.spectrum[1:]}.")
     figure_words = caption + words_of(f"{found.evidence.partition(':')[0].capitalize()}.")
     with one_panel(ax, figure_words, height=7.5) as axes:
-        draw_exponents_plane(axes, found.eigenvalues, marks, f"Eigenvalues: {found.type}")
+        _draw_exponents(axes, found.eigenvalues, marks, f"Eigenvalues: {found.type}")
         return figure_of(axes)
+
+
+def _draw_exponents(
+    axes: Axes, values: np.ndarray, marks: list[tuple[complex, str]], title: str
+) -> None:
+    """Draw eigenvalues of a linearised motion, with the axes that separate its kinds.
+
+    - marks: Texts beside eigenvalues.
+    """
+    values = np.asarray(values, dtype=complex)
+    axes.axhline(0, color=GREY, linewidth=0.7)
+    axes.axvline(0, color=GREY, linewidth=0.7)
+    growing = values.real > 0
+    for k, own in enumerate((values[~growing], values[growing])):
+        axes.plot(own.real, own.imag, "x", color=color_of(k), markersize=7)
+    size = float(np.abs(values).max(initial=0.0)) or 1.0
+    axes.set(xlim=(-1.25 * size, 1.25 * size), ylim=(-1.25 * size, 1.25 * size))
+    axes.set_aspect("equal")
+    texts = [
+        axes.annotate(
+            text, (place.real, place.imag), (6, 0), textcoords="offset points", va="center"
+        )
+        for place, text in marks
+    ]
+    if isinstance(figure := figure_of(axes), Figure):
+        figure.thin_out(texts)
+    axes.set_title(title)
+    label(axes.xaxis, r"Re $\lambda$")
+    label(axes.yaxis, r"Im $\lambda$")

@@ -20,11 +20,11 @@ from hamsym.errors import CodeGenerationError, InputError
 from hamsym.formula.parser import parse_number
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.systems.catalogue import CATALOGUE
-from hamsym.workbench.equations import equations
 from hamsym.workbench.explore.messages import Derivation, JobResult, Motion, Setting, Verdict
 from hamsym.workbench.lessons.lesson import system_code, usual_range
 from hamsym.workbench.lessons.problem import problem
 from hamsym.workbench.lessons.start import proposed_start
+from hamsym.workbench.mathml import equations
 
 _TIMES = 500  # of the energy error
 _ROWS = 2_001  # of the table of states

@@ -32,7 +32,7 @@ from hamsym.solving.recipe import omissions, python_lines
 from hamsym.support.atomic import write_file
 from hamsym.support.suggestions import checked_keywords
 from hamsym.support.validation import require_positive
-from hamsym.workbench.equations import equations
+from hamsym.workbench.mathml import equations
 from hamsym.workbench.page_templates import page_template
 from hamsym.workbench.reports import contents
 from hamsym.workbench.reports.comparing import Compared, compared_within
