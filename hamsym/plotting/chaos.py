@@ -16,7 +16,7 @@ from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.plotting.captions import axis_words, caption_words
 from hamsym.plotting.figure import color_bar, figure_of, label, legend, one_panel
-from hamsym.plotting.motions import parameters_of
+from hamsym.plotting.motions import own_parameters, parameters_of
 from hamsym.plotting.names import (
     math_unit,
     number,
@@ -237,9 +237,7 @@ def draw_lyapunov_map(found: LyapunovMap, *names: Any, ax: Any = None) -> Any:
             f"{', '.join(columns)}"
         )
     if names:
-        every: dict[str, Any] = {**H.parameters, **found.parameters}
-        shaped = [np.broadcast_to(every[name], shape) for name in H.parameter_names]
-        own = np.stack(shaped, axis=-1) if shaped else None
+        own = own_parameters(H, found.parameters, shape)
         chosen = [
             (axis_words(each), np.ravel(each.values(found.z0, found.span[0], own)))
             for each in map(H.observable, names)

@@ -13,7 +13,7 @@ from hamsym.errors import InputError
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.plotting.captions import axis_words, caption_words, formula_of
 from hamsym.plotting.figure import figure_of, label, one_panel, require_no_axes
-from hamsym.plotting.motions import drawn_of
+from hamsym.plotting.motions import drawn_of, own_parameters
 from hamsym.plotting.names import amount, enumerated, math_name, number, time_name
 from hamsym.plotting.panels import Panel, draw_panels
 from hamsym.plotting.style import COLORS, COLUMN, PAGE, color_of, shades
@@ -95,14 +95,8 @@ def _caption(flow: FlowMap, *sentences: Any, over_time: bool, planes: bool) -> l
 
 def _values(flow: FlowMap, drawn: Observable, t: np.ndarray, inputs: np.ndarray) -> np.ndarray:
     """Return a component or a formula at times, from places in the box."""
-    names = flow.H.parameter_names
-    every = [
-        inputs[:, flow.inputs.index(name)]
-        if name in flow.inputs
-        else np.full(len(inputs), flow.H.parameters[name])
-        for name in names
-    ]
-    parameters = np.stack(every, axis=-1) if names else None
+    given = dict(zip(flow.inputs, inputs.T, strict=True))
+    parameters = own_parameters(flow.H, given, t.shape)
     return drawn.values(flow.map.evaluate(t, inputs), t, parameters)
 
 

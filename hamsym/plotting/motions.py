@@ -189,6 +189,15 @@ def parameters_of(
     return same if ranges else None, enumerated(ranges.values())
 
 
+def own_parameters(
+    H: Hamiltonian, given: Mapping[str, Any], shape: tuple[int, ...]
+) -> np.ndarray | None:
+    """Return the values of all parameters, given ones and those of H, shape (*shape, k)."""
+    known = {**H.parameters, **given}
+    columns = [np.broadcast_to(known[name], shape) for name in H.parameter_names]
+    return np.stack(columns, axis=-1) if columns else None
+
+
 # -- panels ----------------------------------------------------------------------------------------
 
 

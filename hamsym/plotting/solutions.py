@@ -35,6 +35,7 @@ from hamsym.plotting.time_axes import (
     log_lines,
     name_curves,
     name_energy_error,
+    relative,
 )
 from hamsym.proof.windows.certificate import Certificate
 from hamsym.solution.solution import Solution
@@ -102,11 +103,6 @@ def asked_of(solution: Solution, sizes: np.ndarray) -> list[tuple[float, dict[st
     return [(float(ratios.min()), {**_ASKED_STYLE, "label": text})]
 
 
-def _relative(values: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-    with np.errstate(all="ignore"):
-        return np.where(values == 0, 0.0, np.abs(values) / np.where(sizes > 0, sizes, np.nan))
-
-
 def draw_error(axes: Axes, solution: Solution, certificate: Certificate | None = None) -> list[Any]:
     """Draw the estimated errors relative to the sizes of the components, with what was asked.
 
@@ -116,11 +112,11 @@ def draw_error(axes: Axes, solution: Solution, certificate: Certificate | None =
     H, t = solution.H, _times(solution)
     sizes = solution.scale if solution.error is None else solution.error.scale
     with np.errstate(all="ignore"):
-        values = _relative(np.asarray(solution.error_estimate(t)), sizes)
+        values = relative(np.asarray(solution.error_estimate(t)), sizes)
     lines = asked_of(solution, sizes)
     notes: list[Any] = []
     if certificate is not None:
-        bounds = _relative(np.array(certificate.component_bounds), sizes)
+        bounds = relative(np.array(certificate.component_bounds), sizes)
         worst = int(np.nanargmax(bounds))
         lower = certificate.component_lowers[worst] / sizes[worst]
         lines.append((float(bounds[worst]), {"color": WARNING, "label": "proven bound"}))
@@ -138,7 +134,7 @@ def draw_residual(axes: Axes, solution: Solution) -> list[str]:
     t = _times(solution)
     residual = np.asarray(solution.residual(t))
     rates = np.abs(np.asarray(solution.derivative(t))).max(axis=0)
-    log_lines(axes, t, component_curves(solution.H, _relative(residual, rates)))
+    log_lines(axes, t, component_curves(solution.H, relative(residual, rates)))
     name_curves(axes, solution.H, r"Residual $\ell$", r"$|\ell_i|\,/\,\max|\dot z_i|$")
     legend_above(axes)
     return [LARGEST]
@@ -239,9 +235,7 @@ def _draw_member_errors(axes: Axes, many: Solutions) -> None:
         legend_above(axes)
     axes.margins(x=0.05)
     low = min(errors[finite].min(initial=many.tol), many.tol) / 2
-    decades_and_lines(
-        axes, low, top, [(many.tol, {"color": "black", "linestyle": ":", "label": "asked for"})]
-    )
+    decades_and_lines(axes, low, top, [(many.tol, _ASKED_STYLE)])
     axes.set_title("Largest estimated error of each trajectory")
     label(axes.xaxis, name, unit)
     label(axes.yaxis, "error / size")

@@ -82,6 +82,12 @@ def component_curves(H: Hamiltonian, values: np.ndarray) -> list[tuple[np.ndarra
     ]
 
 
+def relative(values: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """Return sizes of errors relative to those of components; nan where these are zero."""
+    with np.errstate(all="ignore"):
+        return np.where(values == 0, 0.0, np.abs(values) / np.where(sizes > 0, sizes, np.nan))
+
+
 def log_lines(
     axes: Axes,
     t: np.ndarray,

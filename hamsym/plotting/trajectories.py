@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,7 @@ from hamsym.plotting.overview import draw_motions
 from hamsym.plotting.panels import Draw
 from hamsym.plotting.sampling import resolved, with_formulas
 from hamsym.plotting.style import SAMPLES
-from hamsym.plotting.time_axes import log_lines, name_curves, name_energy_error
+from hamsym.plotting.time_axes import log_lines, name_curves, name_energy_error, relative
 
 _SAVE_MORE = "Dots: the saved states, which are too far apart for lines between them; save more"
 
@@ -58,23 +57,18 @@ def draw_trajectory(trajectory: Trajectory, *names: Any, ax: Any = None) -> Any:
 
 
 def _motion(trajectory: Trajectory, chosen: np.ndarray, formulas: Sequence[Observable]) -> Motion:
-    members = trajectory.ensemble
-    H, total = members.H, len(members)
-    same, ranges = parameters_of(H, members.columns)
+    members, drawn = trajectory.ensemble, trajectory.ensemble.some(chosen)
+    same, ranges = parameters_of(members.H, members.columns)
     warning = trajectory.facts.warning
     t, z, apart = _resolved(trajectory, chosen, formulas)
     return Motion(
-        H,
+        members.H,
         t,
         z,
-        total=total,
+        total=len(members),
         sentences=[ranges, "" if warning else trajectory.message],
         warning=warning,
-        varied=varying(
-            H,
-            members.states[chosen],
-            {name: values[chosen] for name, values in members.columns.items()},
-        ),
+        varied=varying(members.H, drawn.states, drawn.columns),
         parameters=same,
         apart=apart,
         formulas=formulas,
@@ -85,20 +79,14 @@ def _resolved(
     trajectory: Trajectory, chosen: np.ndarray, formulas: Sequence[Observable]
 ) -> tuple[np.ndarray, np.ndarray, str]:
     """Return times and states to draw, between few saved ones, and a sentence if they are few."""
-    members, t = trajectory.ensemble, trajectory.t
+    members, t = trajectory.ensemble.some(chosen), trajectory.t
     z = trajectory.ensemble.flat(trajectory.z)[chosen]
-    values = members.own_parameters(chosen)
+    values = members.own_parameters()
     saved = with_formulas(z, t, formulas, values)
     if len(t) < 2:
         return t, saved, ""
-    own = replace(
-        members,
-        states=members.states[chosen],
-        parameters=members.parameters[chosen],
-        shape=(len(chosen),),
-    )
     try:
-        between = Interpolant(t, z, own).states
+        between = Interpolant(t, z, members).states
         first = np.linspace(t[0], t[-1], SAMPLES)
         dense, states, apart = resolved(between, first, len(chosen), formulas, values)
     except InputError:
@@ -121,7 +109,6 @@ def _draw_error(axes: Axes, trajectory: Trajectory, motion: Motion, chosen: np.n
     with np.errstate(all="ignore"):
         states = trajectory.ensemble.flat(trajectory.z)[chosen]
         sizes = np.nanmax(np.abs(states), axis=1, keepdims=True)
-        ratios = np.where(errors == 0, 0.0, errors / np.where(sizes > 0, sizes, np.nan))
-        largest = np.nanmax(ratios, axis=-1)
+        largest = np.nanmax(relative(errors, sizes), axis=-1)
     log_lines(axes, trajectory.t, motion.curves(largest), unknown="infinite where not drawn")
     name_curves(axes, motion.H, "Largest estimated error up to each time", "error / size")
