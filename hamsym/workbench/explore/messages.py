@@ -39,8 +39,8 @@ class Setting:
             parameters={name: self.parameters.get(name, 1.0) for name in parameter_names},
         )
 
-    def summary(self, limit: int = 6) -> str:
-        """Return the values in one line.
+    def summary(self) -> str:
+        """Return the values in one line, of many the first six.
 
         Examples
         --------
@@ -48,9 +48,9 @@ class Setting:
         'x = 1.3, p = 1, t from 0 to 20, tol 1e-09'
         """
         values = {**self.z0, **self.parameters}
-        shown = [f"{name} = {value:g}" for name, value in list(values.items())[:limit]]
-        if len(values) > limit:
-            shown.append(f"{len(values) - limit} more values")
+        shown = [f"{name} = {value:g}" for name, value in list(values.items())[:6]]
+        if len(values) > 6:
+            shown.append(f"{len(values) - 6} more values")
         start, end = self.span
         return ", ".join([*shown, f"t from {start:g} to {end:g}", f"tol {self.tol:g}"])
 
@@ -66,11 +66,6 @@ class Derivation:
     hessian: str
     #: What the structure of H is, in words.
     facts: str
-
-    @property
-    def dof(self) -> int:
-        """Degrees of freedom."""
-        return len(self.names) // 2
 
 
 @dataclass(frozen=True)

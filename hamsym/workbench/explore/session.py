@@ -169,13 +169,7 @@ class Session:
         HamsymError
             If it is none.
         """
-        try:
-            value = float(text)
-        except ValueError:
-            return await self._call_live("number", text)
-        if not math.isfinite(value):
-            raise InputError(f"'{text}' is not a finite number; write for example 1.3 or 4*pi")
-        return value
+        return await self._call_live("number", text)
 
     # -- what is drawn -------------------------------------------------------------------------
 
