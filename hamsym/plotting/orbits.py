@@ -18,7 +18,6 @@ from hamsym.orbits.family import OrbitFamily
 from hamsym.orbits.orbit import PeriodicOrbit
 from hamsym.plotting.bodies import PROJECTIONS, bodies_of, draw_bodies, draw_projection
 from hamsym.plotting.captions import caption_words
-from hamsym.plotting.energies import draw_energies
 from hamsym.plotting.figure import figure_of, label, one_panel
 from hamsym.plotting.motions import (
     Motion,
@@ -27,6 +26,7 @@ from hamsym.plotting.motions import (
     formulas_of,
 )
 from hamsym.plotting.names import amount, energy_unit, number, quantity, time_name
+from hamsym.plotting.overview import draw_energies
 from hamsym.plotting.panels import Panel, draw_panels
 from hamsym.plotting.sampling import resolved, with_formulas
 from hamsym.plotting.style import GREY, SAMPLES, color_of, marker_style

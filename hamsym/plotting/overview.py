@@ -5,15 +5,19 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+import sympy
 from matplotlib.axes import Axes
 
 from hamsym.codegen.observable import Observable
+from hamsym.hamiltonian import Hamiltonian
 from hamsym.plotting.bodies import PROJECTIONS, bodies_of, draw_bodies, draw_projection
-from hamsym.plotting.figure import Figure, figure_of, one_panel, require_no_axes
+from hamsym.plotting.figure import Figure, figure_of, legend_above, one_panel, require_no_axes
 from hamsym.plotting.motions import Motion, draw_motion, in_plane, over_time, plane_title
-from hamsym.plotting.names import with_unit
+from hamsym.plotting.names import energy_unit, with_unit
 from hamsym.plotting.panels import Draw
-from hamsym.plotting.style import PAGE, styled
+from hamsym.plotting.style import PAGE, line_style, styled
+from hamsym.plotting.time_axes import envelope, fill_time, name_curves
 
 # Most degrees of freedom, one in each row of a page.
 _MAX_DOF = 6
@@ -126,3 +130,45 @@ def _overview(motion: Motion, lower: Sequence[Draw], sentences: Sequence[Any]) -
         notes += [note for note in draw(axes) or () if note not in notes]
     figure.set_caption(motion.caption(*notes, *sentences), motion.warning)
     return figure
+
+
+# -- energies --------------------------------------------------------------------------------------
+
+
+def energies_of(H: Hamiltonian) -> dict[str, sympy.Expr]:
+    """Return the parts of H with and without momenta by their names, and H.
+
+    The first is called kinetic where it depends on momenta alone or is quadratic in them.
+
+    Examples
+    --------
+    >>> energies_of(Hamiltonian("p_r**2/2 + p_phi**2/(2*r**2) - 1/r"))["potential"]
+    -1/r
+    >>> list(energies_of(Hamiltonian("p_x**2/2 + p_y**2/2 + y*p_x - x*p_y")))
+    ['with momenta', 'without', '$H$']
+    >>> list(energies_of(Hamiltonian("x*log(p)")))
+    ['$H$']
+    """
+    rest = H.expr.xreplace({p: sympy.Integer(0) for p in H.p})
+    if rest.has(sympy.nan, sympy.zoo, sympy.oo):
+        return {"$H$": H.expr}
+    kinetic = H.expr - rest
+    twice = kinetic.xreplace({p: 2 * p for p in H.p})
+    if H.is_separable or sympy.expand(twice - 4 * kinetic) == 0:
+        return {"kinetic": kinetic, "potential": rest, "$H$": H.expr}
+    return {"with momenta": kinetic, "without": rest, "$H$": H.expr}
+
+
+def draw_energies(axes: Axes, motion: Motion) -> None:
+    """Draw the kinetic and the potential energy of one trajectory, and their sum."""
+    H = motion.H
+    for k, (name, expr) in enumerate(reversed(energies_of(H).items())):
+        with np.errstate(all="ignore"):
+            values = H.observable(expr).values(motion.z[0, :, : H.dim], motion.t)
+        t, values = envelope(motion.t, np.broadcast_to(values, motion.t.shape))
+        style = {"color": "black", "linewidth": 0.8} if name == "$H$" else line_style(k - 1)
+        axes.plot(t, values, **style, label=name)
+    axes.margins(y=0.12)
+    name_curves(axes, H, "Energies", "energy", energy_unit(H))
+    fill_time(axes, motion.t)
+    legend_above(axes)

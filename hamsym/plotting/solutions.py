@@ -12,7 +12,6 @@ from matplotlib.axes import Axes
 from hamsym.codegen.observable import Observable
 from hamsym.errors import InputError
 from hamsym.families.solutions import Solutions
-from hamsym.plotting.energies import draw_energies
 from hamsym.plotting.figure import label, legend, legend_above
 from hamsym.plotting.motions import (
     Motion,
@@ -23,7 +22,7 @@ from hamsym.plotting.motions import (
     varying,
 )
 from hamsym.plotting.names import energy_unit, quantity, time_name
-from hamsym.plotting.overview import draw_motions
+from hamsym.plotting.overview import draw_energies, draw_motions
 from hamsym.plotting.panels import Draw
 from hamsym.plotting.sampling import resolved, thinned
 from hamsym.plotting.style import SAMPLES, WARNING, color_of

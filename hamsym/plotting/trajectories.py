@@ -12,7 +12,6 @@ from hamsym.codegen.observable import Observable
 from hamsym.errors import InputError
 from hamsym.integrators.interpolation import Interpolant
 from hamsym.integrators.trajectory import Trajectory
-from hamsym.plotting.energies import draw_energies
 from hamsym.plotting.motions import (
     Motion,
     chosen_members,
@@ -21,7 +20,7 @@ from hamsym.plotting.motions import (
     parameters_of,
     varying,
 )
-from hamsym.plotting.overview import draw_motions
+from hamsym.plotting.overview import draw_energies, draw_motions
 from hamsym.plotting.panels import Draw
 from hamsym.plotting.sampling import resolved, with_formulas
 from hamsym.plotting.style import SAMPLES
