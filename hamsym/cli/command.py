@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -40,14 +39,6 @@ _MEANT = {
     **dict.fromkeys(("y0", "x0", "start", "initial", "state"), "z0"),
     **dict.fromkeys(("parameter", "parameters", "params"), "param"),
 }
-
-
-class InterruptError(Exception):
-    """Ctrl-C, which click would answer with an empty line of its own."""
-
-
-class ClosedPipeError(Exception):
-    """A closed standard output, for which click would exit with status 1."""
 
 
 @dataclass(frozen=True)
@@ -195,17 +186,6 @@ def _continued(command: str, width: int) -> list[str]:
     return lines
 
 
-@contextmanager
-def _own_errors() -> Iterator[None]:
-    """Raise own errors for those that click would answer itself."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        raise InterruptError from None
-    except BrokenPipeError:
-        raise ClosedPipeError from None
-
-
 class Group(click.Group):
     """A group that lists its commands by subject and suggests similar ones.
 
@@ -227,14 +207,6 @@ class Group(click.Group):
             hint = did_you_mean(args[0], self.list_commands(ctx))
             ctx.fail(f"No such command '{args[0]}'{hint}; 'hamsym --help' lists them")
         return super().resolve_command(ctx, args)
-
-    def make_context(self, *arguments: Any, **options: Any) -> click.Context:
-        with _own_errors():  # --help prints here
-            return super().make_context(*arguments, **options)
-
-    def invoke(self, ctx: click.Context) -> Any:
-        with _own_errors():
-            return super().invoke(ctx)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands by subject."""
