@@ -62,6 +62,13 @@ def _orbit_family(family: OrbitFamily) -> Facts:
     if count:
         headline = f"{count:,} orbits, energy {interval((energies.min(), energies.max()))}"
 
+    kinds = [{"kind": one.kind, "energy": one.orbit.energy} for one in found]
+    labels = [number(value, 10) for value in energies]
+    columns = (
+        Column("period", family.periods, ".10g"),
+        Column("stability", family.stabilities),
+    )
+
     def spread(rows: int) -> list[int]:
         return sorted({round(k * (count - 1) / max(rows - 1, 1)) for k in range(rows)})
 
@@ -74,29 +81,13 @@ def _orbit_family(family: OrbitFamily) -> Facts:
         formulas_of(family.H) if count else (),
         problem_facts(family.H, [family.parameter or ""]) if count else (),
         (
-            Table(
-                "orbits between them",
-                [number(value, 10) for value in energies],
-                (
-                    Column("period", family.periods, ".10g"),
-                    Column("stability", family.stabilities),
-                ),
-                "energy",
-                choose=spread,
-            ),
+            Table("orbits between them", labels, columns, "energy", choose=spread),
             *(Fact("", f"{one.kind}:", None, f"energy {one.orbit.energy:.10g}") for one in found),
             Fact("energy", value=energies),
             Fact("period", value=family.periods),
-            *(
-                Fact(name, value=family.values)
-                for name in (family.parameter,)
-                if name is not None and count
-            ),
+            *([Fact(family.parameter, value=family.values)] if family.parameter and count else []),
             Fact("stability", value=family.stabilities),
-            Fact(
-                "bifurcations",
-                value=[{"kind": each.kind, "energy": each.orbit.energy} for each in found],
-            ),
+            Fact("bifurcations", value=kinds),
         ),
         1_000 * count,
     )

@@ -66,19 +66,14 @@ def _comparison(comparison: Comparison) -> Facts:
 
 def _rows(rows: Sequence[Row]) -> Table:
     points = [f"{r.points:,}" if r.tolerance is None else f"rtol {r.tolerance:.0e}" for r in rows]
-    return Table(
-        "rows",
-        [row.label for row in rows],
-        (
-            Column("points", points),
-            Column("evaluations", [row.evaluations for row in rows], ","),
-            Column("max |dz|", [row.error for row in rows], _ERROR),
-            Column("max |dE|", [row.energy_error for row in rows], _ERROR),
-            Column("time s", [row.seconds for row in rows], ".2g"),
-        ),
-        "method",
-        whole=True,
+    columns = (
+        Column("points", points),
+        Column("evaluations", [row.evaluations for row in rows], ","),
+        Column("max |dz|", [row.error for row in rows], _ERROR),
+        Column("max |dE|", [row.energy_error for row in rows], _ERROR),
+        Column("time s", [row.seconds for row in rows], ".2g"),
     )
+    return Table("rows", [row.label for row in rows], columns, "method", whole=True)
 
 
 def _matches(comparison: Comparison) -> Table:
@@ -88,19 +83,15 @@ def _matches(comparison: Comparison) -> Table:
     def known(name: str, form: str) -> list[str]:
         return ["" if match.reason else format(getattr(match, name), form) for match in found]
 
-    return Table(
-        "integrators",
-        list(comparison.matches),
-        (
-            Column("evaluations", known("evaluations", ",")),
-            Column("max |dz|", known("error", _ERROR)),
-            Column("time s", known("seconds", ".2g")),
-            Column("needs", [f"{match}" for match in found], left=True),
-        ),
-        "method",
-        f"for the network's error, {comparison.rows[0].error:.2e}:",
-        whole=True,
+    columns = (
+        Column("evaluations", known("evaluations", ",")),
+        Column("max |dz|", known("error", _ERROR)),
+        Column("time s", known("seconds", ".2g")),
+        Column("needs", [f"{match}" for match in found], left=True),
     )
+    title = f"for the network's error, {comparison.rows[0].error:.2e}:"
+    names = list(comparison.matches)
+    return Table("integrators", names, columns, "method", title, whole=True)
 
 
 def _sweep(sweep: Sweep) -> Facts:
@@ -122,14 +113,10 @@ def _sweep(sweep: Sweep) -> Facts:
 def _settings(sweep: Sweep) -> Table:
     runs = list(sweep.solutions.values())
     converged = [f"{sum(bool(each.success) for each in own)} of {len(own)}" for own in runs]
-    return Table(
-        "settings",
-        list(sweep.solutions),
-        (
-            Column("converged", converged),
-            Column("error / size", [max(s.relative_error for s in own) for own in runs],
-                   error_text, "relative_error"),
-            Column("time s", [sum(s.seconds for s in own) for own in runs], ".2g", "seconds"),
-        ),
-        "settings",
-    )  # fmt: skip
+    errors = [max(s.relative_error for s in own) for own in runs]
+    columns = (
+        Column("converged", converged),
+        Column("error / size", errors, error_text, "relative_error"),
+        Column("time s", [sum(s.seconds for s in own) for own in runs], ".2g", "seconds"),
+    )
+    return Table("settings", list(sweep.solutions), columns, "settings")

@@ -168,6 +168,12 @@ def facts_of(
     return Facts(headline=headline, entries=entries, **known | others)
 
 
+def proven(proof: Any, headline: str, *entries: Entry, **others: Any) -> Facts:
+    """Describe a proof; ``others`` are further fields of the facts, or others for these."""
+    known: dict[str, Any] = {"kind": type(proof).__name__, "success": True, "verdict": "proven"}
+    return Facts(headline=headline, entries=entries, **known | others)
+
+
 def silent(result: Any, names: str) -> tuple[Fact, ...]:
     """Attributes of a result that only JSON has, by their names between spaces."""
     return tuple(Fact(name, value=getattr(result, name)) for name in names.split())
