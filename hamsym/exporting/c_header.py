@@ -10,7 +10,7 @@ import numpy as np
 
 from hamsym.codegen.generate import environment, generate
 from hamsym.exporting.about import About
-from hamsym.exporting.closed_form import ClosedForm, FeatureForm
+from hamsym.exporting.closed_form import ClosedForm, FeatureForm, envelope_text
 from hamsym.formula.parser import canonical_name
 
 _PER_LINE = 4
@@ -38,33 +38,24 @@ def c_header(about: About, form: ClosedForm, stem: str) -> bytes:
     - stem: Name of the file without its ending, of which the prefix of all names is made.
     """
     name, H = prefix_of(stem), about.solution.H
-    own: dict[str, Any] = {}
+    values: dict[str, Any] = {
+        "name": name,
+        "guard": f"{name.upper()}_H",
+        "about": [_in_comment(line) for line in about.lines()],
+        "form": form,
+        "span": _numbers(np.array(about.solution.span)),
+        "numbers": _numbers,
+        "names": ", ".join(json.dumps(canonical_name(n)) for n in H.names),
+        "energy": _energy(about, name),
+        "has_time": H.time is not None,
+        "envelope": envelope_text(form),
+    }
     if isinstance(form, FeatureForm):
-        own["origin"] = repr(form.origin) if form.origin >= 0 else f"({form.origin!r})"
+        values["origin"] = repr(form.origin) if form.origin >= 0 else f"({form.origin!r})"
     else:
-        own["sizes"] = np.array(form.sizes)
-        own["offsets"] = np.array(form.offsets)
-        own["widest"] = max(map(max, form.sizes))
-        linear = form.envelope == "linear"
-        own["envelope"] = "f(s) = s" if linear else "f(s) = 1 - exp(-s)"
-    text = (
-        environment()
-        .get_template("orbit.h.jinja")
-        .render(
-            m={
-                "name": name,
-                "guard": f"{name.upper()}_H",
-                "about": [_in_comment(line) for line in about.lines()],
-                "form": form,
-                "span": _numbers(np.array(about.solution.span)),
-                "numbers": _numbers,
-                "names": ", ".join(json.dumps(canonical_name(n)) for n in H.names),
-                "energy": _energy(about, name),
-                "has_time": H.time is not None,
-                **own,
-            }
-        )
-    )
+        values["sizes"], values["offsets"] = np.array(form.sizes), np.array(form.offsets)
+        values["widest"] = max(map(max, form.sizes))
+    text = environment().get_template("orbit.h.jinja").render(m=values)
     return text.encode("ascii", errors="backslashreplace")
 
 

@@ -39,19 +39,12 @@ def _features(form: FeatureForm) -> dict[str, Any]:
 
 
 def _networks(form: Any) -> dict[str, Any]:
-    windows = [
-        {
-            "start": start,
-            "tau": tau,
-            "networks": [
-                [{"matrix": matrix.tolist(), "bias": bias.tolist()} for matrix, bias in layers]
-                for layers in networks
-            ],
-        }
-        for start, tau, networks in zip(
-            form.starts.tolist(), form.taus.tolist(), form.networks, strict=True
-        )
+    networks = [
+        [[{"matrix": m.tolist(), "bias": b.tolist()} for m, b in layers] for layers in window]
+        for window in form.networks
     ]
+    parts = zip(form.starts.tolist(), form.taus.tolist(), networks, strict=True)
+    windows = [{"start": start, "tau": tau, "networks": own} for start, tau, own in parts]
     return {
         "activation": form.activation,
         "envelope": form.envelope,

@@ -11,7 +11,7 @@ import numpy as np
 from hamsym.codegen.generate import environment
 from hamsym.codegen.printers import NUMPY_DEFINITIONS
 from hamsym.exporting.about import About
-from hamsym.exporting.closed_form import ClosedForm, FeatureForm
+from hamsym.exporting.closed_form import ClosedForm, FeatureForm, envelope_text
 
 _WIDTH = 96  # characters of a line
 _WRITTEN_OUT = 64  # numbers of an array that is written in decimals, not as bytes
@@ -23,33 +23,22 @@ def python_module(about: About, form: ClosedForm, _: str) -> bytes:
     errors = [e if np.isfinite(e) else None for e in about.solution.largest_error.tolist()]
     energy = H.source("numpy", part="energy").replace("def energy(", "def _hamiltonian(", 1)
     energy = energy.replace("    z = _floating(z)\n", "", 1)
-    return (
-        environment()
-        .get_template("orbit.py.jinja")
-        .render(
-            m={
-                "about": [_in_docstring(line) for line in about.lines()],
-                "names": tuple(H.names),
-                "span": tuple(map(float, about.solution.span)),
-                "parameters": dict(H.parameters),
-                "success": bool(about.solution.success),
-                "errors": dict(zip(H.names, errors, strict=True)),
-                "has_time": H.time is not None,
-                "definitions": [
-                    (name, text)
-                    for name, text in NUMPY_DEFINITIONS.values()
-                    if re.search(rf"\b{name}\b", energy)
-                ],
-                "energy": energy,
-                "form": form,
-                "arrays": [(name, _array(array)) for name, array in _arrays(form)],
-                "envelope": "f(s) = s"
-                if not isinstance(form, FeatureForm) and form.envelope == "linear"
-                else "f(s) = 1 - exp(-s)",
-            }
-        )
-        .encode()
-    )
+    used = [own for own in NUMPY_DEFINITIONS.values() if re.search(rf"\b{own[0]}\b", energy)]
+    values = {
+        "about": [_in_docstring(line) for line in about.lines()],
+        "names": tuple(H.names),
+        "span": tuple(map(float, about.solution.span)),
+        "parameters": dict(H.parameters),
+        "success": bool(about.solution.success),
+        "errors": dict(zip(H.names, errors, strict=True)),
+        "has_time": H.time is not None,
+        "definitions": used,
+        "energy": energy,
+        "form": form,
+        "arrays": [(name, _array(array)) for name, array in _arrays(form)],
+        "envelope": envelope_text(form),
+    }
+    return environment().get_template("orbit.py.jinja").render(m=values).encode()
 
 
 def _arrays(form: ClosedForm) -> list[tuple[str, Any]]:
