@@ -109,19 +109,10 @@ def _draw_places(axes: Axes, found: Equilibria, there: list[int], i: int, j: int
 
 
 def _draw_undecided(axes: Axes, found: Equilibria, i: int, j: int) -> None:
+    style: dict[str, Any] = {"hatch": "////", "edgecolor": "0.5", "linewidth": 0.5}
     for region in found.undecided:
-        low, high = region.low, region.high
-        axes.add_patch(
-            Rectangle(
-                (low[i], low[j]),
-                high[i] - low[i],
-                high[j] - low[j],
-                fill=False,
-                hatch="////",
-                edgecolor="0.5",
-                linewidth=0.5,
-            )
-        )
+        low, (width, height) = region.low, np.subtract(region.high, region.low)[[i, j]]
+        axes.add_patch(Rectangle((low[i], low[j]), width, height, fill=False, **style))
 
 
 def _sizes_of(found: Equilibria, there: list[int], i: int, j: int) -> tuple[float, float] | None:

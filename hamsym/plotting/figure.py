@@ -243,11 +243,8 @@ def legend(axes: Axes, **options: Any) -> None:
 
 def legend_above(axes: Axes) -> None:
     """Add a legend of few short entries above axes, beside their title."""
-    handles, labels = axes.get_legend_handles_labels()
-    if labels:
+    if labels := axes.get_legend_handles_labels()[1]:
         axes.legend(
-            handles,
-            labels,
             loc="lower right",
             bbox_to_anchor=(1.0, 1.0),
             borderaxespad=0.1,

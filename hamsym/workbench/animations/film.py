@@ -103,25 +103,18 @@ class Film:
             axis.add_collection(lines)
         sizes = np.full((members, points), 45.0 if points * members <= 12 else 18.0)
         sizes[:, list(scene.pivots)] = 10.0
+        start, colors = np.zeros(members * points), self._colors.reshape(-1, 4)
         self._dots = axis.scatter(
-            np.zeros(members * points),
-            np.zeros(members * points),
-            s=sizes.ravel(),
-            color=self._colors.reshape(-1, 4),
-            zorder=3,
-            animated=True,
+            start, start, s=sizes.ravel(), color=colors, zorder=3, animated=True
         )
         for number, name in enumerate(named):
             axis.plot([], [], "o", color=self._colors[0, number], label=name)
         if named:
             left = len(scene.points) - len(named)
             axis.plot([], [], alpha=0, label=f"and {left} more") if left else None
-            place: dict[str, Any] = {
-                "loc": "lower right",
-                "bbox_to_anchor": (1.0, 1.0),
-                "borderaxespad": 0.2,
-            }
-            axis.legend(**place, ncols=_COLUMNS, frameon=False, columnspacing=0.8, handletextpad=0)
+            place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0)}
+            place |= {"borderaxespad": 0.2, "columnspacing": 0.8, "handletextpad": 0}
+            axis.legend(**place, ncols=_COLUMNS, frameon=False)
         self._time = axis.set_title(self.time_text(self._times[-1]), loc="left", fontsize=9)
         self.figure.set_caption(caption_words(self._motion.H, *notes), self._motion.failure)
         self.figure.draw_without_rendering()
