@@ -15,7 +15,7 @@ from hamsym.cli.options import (
     integrator_options,
     output_options,
     rows_option,
-    starts_options,
+    start_options,
 )
 from hamsym.cli.texts import NUMBER, SECONDS, STATE, TIME, Parsed, intervals, joined, texts_by_name
 from hamsym.errors import InputError
@@ -36,7 +36,7 @@ _METHODS = "hamsym integrate --list shows the methods."
     epilog=_METHODS,
 )
 @hamiltonian_options
-@starts_options
+@start_options(several=True)
 @integrator_options
 @click.option("--count", default=1, show_default=True, help="Number of exponents.")
 @click.option("--seed", default=0, show_default=True, help="Seed of the tangent vectors.")
@@ -99,7 +99,7 @@ def _indicators(
     epilog=_METHODS,
 )
 @hamiltonian_options
-@starts_options
+@start_options(several=True)
 @click.option("--at", "surface", required=True, metavar="SURFACE", help='"x = 0, p_x > 0"')
 @click.option("--energy", type=NUMBER, help="Energy of states that lack one component.")
 @integrator_options

@@ -114,64 +114,48 @@ def _given_start(H: Hamiltonian, start: Any) -> Any:
     raise InputError(f"--z0 is missing; give a value of each component, e.g. --z0 {example}")
 
 
-def _time_options(command: Command) -> Command:
-    """Add --t-start and --t-end; the command takes a span."""
+def start_options(*, several: bool) -> Callable[[Command], Command]:
+    """Add the start and the times; the command takes a state, or an array of several, and a span.
 
-    @click.option("--t-start", type=TIME, default="0", show_default=True)
-    @click.option("--t-end", type=TIME, help='For example 20 or "4*pi".  [required]')
-    @functools.wraps(command)
-    def wrapped(*arguments: Any, t_start: float, t_end: float | None, **options: Any) -> Any:
-        if t_end is None and (problem := _usual()) is not None:
-            t_end = problem.span[1]
-        if t_end is None:
-            raise InputError("--t-end is missing; give the last time, e.g. --t-end 20")
-        return command(*arguments, span=(t_start, t_end), **options)
+    States that lack a component get it from the option ``energy`` of the command, if it has one.
+    """
+    more = "; repeat it for further trajectories" if several else " or 1.3,1"
 
-    return wrapped
+    def decorate(command: Command) -> Command:
+        @click.option(
+            *("--z0", "start"),
+            type=STATE,
+            multiple=several,
+            help=f"For example x=1.3,p=1{more}.  [required]",
+        )
+        @click.option("--t-start", type=TIME, default="0", show_default=True)
+        @click.option("--t-end", type=TIME, help='For example 20 or "4*pi".  [required]')
+        @functools.wraps(command)
+        def wrapped(
+            H: Hamiltonian, start: Any, t_start: float, t_end: float | None, **options: Any
+        ) -> Any:
+            if t_end is None and (problem := _usual()) is not None:
+                t_end = problem.span[1]
+            if t_end is None:
+                raise InputError("--t-end is missing; give the last time, e.g. --t-end 20")
+            span = t_start, t_end
+            if not several:
+                return command(H, _given_start(H, start), span, **options)
+            states = [_given_start(H, given) for given in start or (None,)]
+            if (energy := options.pop("energy", None)) is not None:
+                if not all(isinstance(given, dict) for given in states):
+                    raise InputError(
+                        "--energy needs states by name; write e.g. --z0 x=0,y=0.1,p_y=0"
+                    )
+                states = [H.state_at_energy(energy, given, t_start) for given in states]
+            import numpy as np
 
+            arrays = [H.state_from(given) for given in states]
+            return command(H, arrays[0] if len(arrays) == 1 else np.array(arrays), span, **options)
 
-def span_options(command: Command) -> Command:
-    """Add one initial state and the times; the command takes a state and a span."""
+        return wrapped
 
-    @click.option("--z0", "start", type=STATE, help="For example x=1.3,p=1 or 1.3,1.  [required]")
-    @_time_options
-    @functools.wraps(command)
-    def wrapped(H: Hamiltonian, start: Any, span: tuple[float, float], **options: Any) -> Any:
-        return command(H, _given_start(H, start), span, **options)
-
-    return wrapped
-
-
-def starts_options(command: Command) -> Command:
-    """Add initial states and the times; the command takes states and a span."""
-
-    @click.option(
-        *("--z0", "starts"),
-        type=STATE,
-        multiple=True,
-        help="For example x=1.3,p=1; repeat it for further trajectories.  [required]",
-    )
-    @_time_options
-    @functools.wraps(command)
-    def wrapped(
-        H: Hamiltonian, starts: tuple[Any, ...], span: tuple[float, float], **options: Any
-    ) -> Any:
-        energy = options.pop("energy", None)
-        states: list[Any] = [_given_start(H, start) for start in starts or (None,)]
-        if energy is not None:
-            states = [H.state_at_energy(energy, _by_name(given), span[0]) for given in states]
-        import numpy as np
-
-        arrays = [H.state_from(given) for given in states]
-        return command(H, arrays[0] if len(arrays) == 1 else np.array(arrays), span, **options)
-
-    return wrapped
-
-
-def _by_name(given: Any) -> dict[str, float]:
-    if not isinstance(given, dict):
-        raise InputError("--energy needs states by name; write e.g. --z0 x=0,y=0.1,p_y=0")
-    return given
+    return decorate
 
 
 def integrator_options(command: Command) -> Command:

@@ -18,8 +18,7 @@ from hamsym.cli.options import (
     output_options,
     rows_option,
     show_methods,
-    span_options,
-    starts_options,
+    start_options,
 )
 from hamsym.cli.output import check_directory, write_certificate
 from hamsym.cli.sharing import check_export
@@ -40,7 +39,7 @@ if TYPE_CHECKING:
     cls=SolverCommand,
 )
 @hamiltonian_options
-@span_options
+@start_options(several=False)
 @click.option("--prove", is_flag=True, help="Prove that the error is within the tolerance.")
 @click.option(
     "--invariant",
@@ -98,7 +97,7 @@ def solve(
     cls=SolverCommand,
 )
 @hamiltonian_options
-@span_options
+@start_options(several=False)
 @click.option(
     "--with",
     "methods",
@@ -145,7 +144,7 @@ def compare(
     help="Show the methods and exit.",
 )
 @hamiltonian_options
-@starts_options
+@start_options(several=True)
 @integrator_options
 @click.option("--tol", type=float, help="Choose the steps for this relative error.")
 @click.option("--saves", type=int, help="With --tol: intervals between saved states  [100]")
