@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hamsym.cli.command import Report, completing
-from hamsym.cli.output import check_figure, check_table, save_figure, write_table
+from hamsym.cli.output import FIGURES, TABLES, check_file, save_figure, write_table
 from hamsym.cli.texts import NAMES, STATE, TIME, assignments, formulas, joined
 from hamsym.errors import InputError
 from hamsym.support.suggestions import similar
@@ -206,7 +206,7 @@ def figure_options(command: Command) -> Command:
     def wrapped(*arguments: Any, figure: str | None, names: list[str], **options: Any) -> Any:
         if names and figure is None:
             raise InputError("--draw says what a figure shows; give its file too, --plot FILE")
-        check_figure(figure)
+        check_file(figure, FIGURES)
         for name in names:
             if not name.isidentifier() or similar(name, arguments[0].names):
                 arguments[0].observable(name)
@@ -239,7 +239,7 @@ def output_options(table_help: str) -> Callable[[Command], Command]:
         @figure_options
         @functools.wraps(command)
         def wrapped(*arguments: Any, output: str | None, draw: Draw, **options: Any) -> Report:
-            check_table(output)
+            check_file(output, TABLES)
             result, report, columns, arrays = command(*arguments, **options)
             if output is not None:
                 write_table(output, columns, arrays)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import functools
 import io
 import re
 from collections.abc import Iterator, Sequence
@@ -362,18 +363,11 @@ def _fitting(words: Sequence[str], width: float, font: FontProperties) -> int:
     return fits
 
 
-_sizes: dict[tuple[str, float], tuple[float, float]] = {}
-
-
+@functools.lru_cache(maxsize=20_000)
 def _size(text: str, font: FontProperties) -> tuple[float, float]:
     """Width and height of a line in inches; its height is at least that of plain text."""
-    key = text, font.get_size_in_points()
-    if key not in _sizes:
-        if len(_sizes) > 20_000:
-            _sizes.clear()
-        with styled():
-            own = Text(0, 0, text, fontproperties=font)
-            own.set_figure(matplotlib.figure.Figure(dpi=288))
-            box = own.get_window_extent(RendererAgg(1, 1, 288))
-        _sizes[key] = 1.02 * box.width / 288, max(box.height / 288, 1.1 * key[1] / 72)
-    return _sizes[key]
+    with styled():
+        own = Text(0, 0, text, fontproperties=font)
+        own.set_figure(matplotlib.figure.Figure(dpi=288))
+        box = own.get_window_extent(RendererAgg(1, 1, 288))
+    return 1.02 * box.width / 288, max(box.height / 288, 1.1 * font.get_size_in_points() / 72)
