@@ -278,7 +278,7 @@ def in_plane(
     H = motion.H
     notes: list[Any] = []
     columns = motion.column(x), motion.column(y)
-    paths_in_plane(axes, motion, columns, motion.labels())
+    paths_in_plane(axes, motion, columns, motion.styles, motion.labels())
     for side, each, column in zip("xy", (x, y), columns, strict=True):
         if each.place is None:
             _fold_escape(axes, side, motion.t, column)
@@ -303,14 +303,16 @@ def paths_in_plane(
     axes: Axes,
     motion: Motion,
     columns: tuple[np.ndarray, np.ndarray],
+    styles: Sequence[dict[str, Any]],
     labels: Sequence[str],
-    **own: Any,
 ) -> None:
+    """Draw paths in a plane; columns have the shape (paths, n)."""
     count = motion.z.shape[1] * len(motion.z)
     every = max(1, round(motion.z.shape[1] / _MAX_POINTS))
-    for x, y, style, text in zip(*columns, motion.path_styles, labels, strict=True):
-        style = {**style, **own, **(_DOTS if motion.apart else {})}
+    for x, y, style, text in zip(*columns, styles, labels, strict=True):
         color = style["color"]
+        if motion.apart:
+            style = {**style, **_DOTS}
         if every > 1:  # lines between distant points would be chords
             style = {"color": color, "linestyle": "none", "marker": ".", "markersize": 0.8}
         dense = count > _DENSE
