@@ -10,6 +10,7 @@ from hamsym.facts.facts import Column, Fact, Facts, Table
 from hamsym.facts.wording import (
     counted,
     error_text,
+    evenly,
     facts_of,
     formulas_of,
     interval,
@@ -69,9 +70,6 @@ def _orbit_family(family: OrbitFamily) -> Facts:
         Column("stability", family.stabilities),
     )
 
-    def spread(rows: int) -> list[int]:
-        return sorted({round(k * (count - 1) / max(rows - 1, 1)) for k in range(rows)})
-
     return Facts(
         "OrbitFamily",
         headline,
@@ -81,7 +79,9 @@ def _orbit_family(family: OrbitFamily) -> Facts:
         formulas_of(family.H) if count else (),
         problem_facts(family.H, [family.parameter or ""]) if count else (),
         (
-            Table("orbits between them", labels, columns, "energy", choose=spread),
+            Table(
+                "orbits between them", labels, columns, "energy", choose=lambda n: evenly(count, n)
+            ),
             *(Fact("", f"{one.kind}:", None, f"energy {one.orbit.energy:.10g}") for one in found),
             Fact("energy", value=energies),
             Fact("period", value=family.periods),

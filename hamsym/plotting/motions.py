@@ -146,13 +146,6 @@ class Motion:
         )
 
 
-def chosen_members(total: int) -> np.ndarray:
-    """Return the numbers of the trajectories of an ensemble that are drawn."""
-    if total <= MAX_DRAWN:
-        return np.arange(total)
-    return np.unique(np.linspace(0, total - 1, MAX_DRAWN).round().astype(int))
-
-
 def varying(
     H: Hamiltonian, z0: np.ndarray, parameters: Mapping[str, np.ndarray]
 ) -> tuple[str, str, np.ndarray]:

@@ -13,6 +13,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 from hamsym.codegen.observable import Observable
 from hamsym.errors import InputError
+from hamsym.facts.wording import evenly
 from hamsym.orbits.certificate import OrbitCertificate
 from hamsym.orbits.family import OrbitFamily
 from hamsym.orbits.orbit import PeriodicOrbit
@@ -196,8 +197,7 @@ def _motion_of(
 ) -> Motion:
     """Return some orbits of a family, over one period each."""
     place, (text, unit) = _abscissa(family)
-    chosen = np.unique(np.linspace(0, len(family) - 1, min(len(family), _MOST_ORBITS)).round())
-    orbits = [family[int(k)] for k in chosen]
+    orbits = [family[k] for k in evenly(len(family), _MOST_ORBITS).tolist()]
     phase = np.linspace(0, 1, 401)
     times = [orbit.problem.start + phase * orbit.period for orbit in orbits]
     paths = [(orbit(t), t, orbit.H) for orbit, t in zip(orbits, times, strict=True)]

@@ -11,11 +11,12 @@ from matplotlib.axes import Axes
 
 from hamsym.codegen.observable import Observable
 from hamsym.errors import InputError
+from hamsym.facts.wording import evenly
 from hamsym.families.solutions import Solutions
 from hamsym.plotting.figure import label, legend, legend_above
 from hamsym.plotting.motions import (
+    MAX_DRAWN,
     Motion,
-    chosen_members,
     drawn_of,
     formulas_of,
     parameters_of,
@@ -24,7 +25,7 @@ from hamsym.plotting.motions import (
 from hamsym.plotting.names import energy_unit, quantity, time_name
 from hamsym.plotting.overview import draw_energies, draw_motions
 from hamsym.plotting.panels import Draw
-from hamsym.plotting.sampling import resolved, thinned
+from hamsym.plotting.sampling import resolved
 from hamsym.plotting.style import SAMPLES, WARNING, color_of
 from hamsym.plotting.time_axes import (
     LARGEST,
@@ -85,7 +86,8 @@ def _motion(solution: Solution, formulas: Sequence[Observable]) -> Motion:
 
 def _times(solution: Solution) -> np.ndarray:
     """Return the times of curves of errors."""
-    return thinned(solution.record.times(solution.span, SAMPLES), _MOST_OF_ERRORS)
+    times = solution.record.times(solution.span, SAMPLES)
+    return times[evenly(len(times), _MOST_OF_ERRORS)]
 
 
 def asked_of(solution: Solution, sizes: np.ndarray) -> list[tuple[float, dict[str, Any]]]:
@@ -198,7 +200,7 @@ def draw_solutions(many: Solutions, *names: Any, ax: Any = None) -> Any:
 
 def _ensemble(many: Solutions, formulas: Sequence[Observable]) -> tuple[Motion, Solutions]:
     """Return the trajectories that are drawn, as a motion and as solutions."""
-    chosen = chosen_members(many.size)
+    chosen = evenly(many.size, MAX_DRAWN)
     shown = Solutions(many.family, many.table, many.windows, many.members.ravel()[chosen])
     times = np.linspace(*many.span, SAMPLES)
     t, z, apart = resolved(shown, times, len(chosen), formulas, shown.own_parameters)

@@ -10,11 +10,12 @@ from matplotlib.axes import Axes
 
 from hamsym.codegen.observable import Observable
 from hamsym.errors import InputError
+from hamsym.facts.wording import evenly
 from hamsym.integrators.interpolation import Interpolant
 from hamsym.integrators.trajectory import Trajectory
 from hamsym.plotting.motions import (
+    MAX_DRAWN,
     Motion,
-    chosen_members,
     drawn_of,
     formulas_of,
     parameters_of,
@@ -34,7 +35,7 @@ def draw_trajectory(trajectory: Trajectory, *names: Any, ax: Any = None) -> Any:
     total = len(trajectory.ensemble)
     if not total:
         raise InputError("there are no trajectories to draw; integrate at least one")
-    chosen = chosen_members(total)
+    chosen = evenly(total, MAX_DRAWN)
     word, drawn = drawn_of(trajectory.ensemble.H, names, ("energy", "error", "energies"))
     if word == "energies" and total > 1:
         raise InputError(

@@ -11,8 +11,7 @@ import numpy as np
 
 from hamsym.errors import HamsymError
 from hamsym.facts.solutions import proof_sentence
-from hamsym.facts.wording import error_text, largest_share, number
-from hamsym.hamiltonian import Hamiltonian
+from hamsym.facts.wording import error_text, evenly, largest_share, number
 from hamsym.numerics.scales import ratios
 from hamsym.proof.windows.certificate import Certificate
 from hamsym.solution.digest import digest
@@ -48,7 +47,7 @@ def windows(solution: Solution) -> dict[str, Any] | None:
         return None
     times = solution.record.origin + np.asarray(edges)
     lengths, count = np.abs(np.diff(times)), len(times) - 1
-    chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_WINDOWS)).round().astype(int))
+    chosen = evenly(count, _MOST_WINDOWS)
     sizes, rows = solution.allowed_error, []
     for k in chosen.tolist():
         t = np.linspace(times[k], times[k + 1], 26)[1:-1]
@@ -119,9 +118,3 @@ def versions(solution: Solution) -> list[tuple[str, str]]:
         except importlib.metadata.PackageNotFoundError:
             continue
     return found
-
-
-def source(H: Hamiltonian, backend: str, most: int) -> tuple[str, int]:
-    """Return generated code up to a number of lines, and how many lines it has."""
-    lines = H.source(backend).rstrip("\n").splitlines()
-    return "\n".join(lines[:most]) + "\n", len(lines)

@@ -124,7 +124,8 @@ def report(
         compared = compared_within(found, _COMPARE_SECONDS)
     else:
         compared = Compared(reason="it was not asked for")
-    code, lines = contents.source(found.H, backend, _MOST_LINES)
+    lines = found.H.source(backend).rstrip("\n").splitlines()
+    code = "\n".join(lines[:_MOST_LINES]) + "\n"
     text = page_template("report").render(
         title=title or "Solution of Hamilton's equations",
         notes=[part.strip() for part in notes.split("\n\n") if part.strip()],
@@ -135,7 +136,7 @@ def report(
         compared=compared,
         comparison=Markup(compared.figure),
         code=_colored(code, _LANGUAGES[BACKENDS[backend].extension]),
-        code_lines=lines,
+        code_lines=len(lines),
         most_lines=_MOST_LINES,
         backend=backend,
         again=_again(found, target, proof),
