@@ -13,10 +13,8 @@ import sympy
 import hamsym
 from hamsym.errors import InputError
 from hamsym.exporting.about import About, checked_certificate
-from hamsym.exporting.c_header import c_header
 from hamsym.exporting.closed_form import ClosedForm, closed_form
-from hamsym.exporting.json_document import json_document
-from hamsym.exporting.python_module import python_module
+from hamsym.exporting.formats import c_header, json_document, python_module
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.solution.solution import Solution
 from hamsym.support.atomic import write_file

@@ -35,7 +35,6 @@ from hamsym.support.validation import require_positive
 from hamsym.workbench.mathml import equations
 from hamsym.workbench.page_templates import page_template
 from hamsym.workbench.reports import contents
-from hamsym.workbench.reports.comparing import Compared, compared_within
 from hamsym.workbench.reports.inline_svg import inline_svg
 
 CERTIFICATE = ".certificate"  # ending of the file beside that of a solution
@@ -121,9 +120,9 @@ def report(
     assert isinstance(found, Solution)
     proof = _proof(found, file, certificate, certify, time_limit)
     if compare:
-        compared = compared_within(found, _COMPARE_SECONDS)
+        compared = contents.compared_within(found, _COMPARE_SECONDS)
     else:
-        compared = Compared(reason="it was not asked for")
+        compared = contents.Compared(reason="it was not asked for")
     lines = found.H.source(backend).rstrip("\n").splitlines()
     code = "\n".join(lines[:_MOST_LINES]) + "\n"
     text = page_template("report").render(
