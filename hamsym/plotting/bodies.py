@@ -69,7 +69,9 @@ def draw_bodies(axes: Any, motion: Motion, letters: str, *, levels: bool = True)
     styles = [line_style(k) for k in range(len(shown))]
     notes: list[Any] = []
     if len(letters) == 3:
-        notes += paths_in_space(axes, columns, styles, labels, words, True)
+        paths = zip(styles, labels, zip(*columns, strict=True), strict=True)
+        lines = [({**style, "label": text}, path) for style, text, path in paths]
+        notes += paths_in_space(axes, lines, words, True)
     else:
         paths_in_plane(axes, motion, (columns[0], columns[1]), styles, labels)
         label(axes.xaxis, *words[0])

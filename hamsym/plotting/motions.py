@@ -52,6 +52,10 @@ _DOTS: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 2}
 CARTESIAN = re.compile(r"([xyzXYZ])_?([0-9]*|[A-Za-z]?)\Z")
 
 
+#: A style with a label, and values along the axes, each of shape (n,).
+Line = tuple[dict[str, Any], Sequence[np.ndarray]]
+
+
 @dataclass(frozen=True)
 class Motion:
     """One trajectory, or those of an ensemble that are drawn."""
@@ -329,31 +333,28 @@ def in_space(axes: Any, motion: Motion, drawn: Sequence[Observable]) -> list[str
     names = [each.text for each in drawn if each.place is not None]
     alike = len(names) == 3 and all(same_scale(motion.H, names[0], name) for name in names)
     columns = [motion.column(each) for each in drawn]
-    words = [axis_words(each) for each in drawn]
-    return paths_in_space(axes, columns, motion.path_styles, motion.labels(), words, alike)
+    lines = zip(motion.path_styles, motion.labels(), zip(*columns, strict=True), strict=True)
+    labelled = [({**style, "label": text}, path) for style, text, path in lines]
+    return paths_in_space(axes, labelled, [axis_words(each) for each in drawn], alike)
 
 
 def paths_in_space(
-    axes: Any,
-    columns: Sequence[np.ndarray],
-    styles: Sequence[dict[str, Any]],
-    labels: Sequence[str],
-    words: Sequence[tuple[str, str]],
-    alike: bool,
+    axes: Any, lines: Sequence[Line], words: Sequence[tuple[str, str]], alike: bool
 ) -> list[str]:
     """Draw paths in space; return sentences for the caption.
 
-    - columns: Values along the three axes, shape (paths, n).
     - words: Text and unit of each axis.
     - alike: Whether the axes are lengths of one space.
     """
+    columns = [np.concatenate(own) for own in zip(*(path for _, path in lines), strict=True)]
     powers = [power_of_ten(np.nanmax(np.abs(column), initial=0.0)) for column in columns]
     columns = [column / 10.0**power for column, power in zip(columns, powers, strict=True)]
-    every = max(1, columns[0].shape[1] // 20_000)
-    for k, (style, text) in enumerate(zip(styles, labels, strict=True)):
-        axes.plot(*(column[k, ::every] for column in columns), **style, label=text)
-        if len(styles) <= MAX_LINES:
-            axes.plot(*(column[k, :1] for column in columns), "o", color=style["color"], ms=3.5)
+    every = max(1, max(len(path[0]) for _, path in lines) // 20_000)
+    for style, path in lines:
+        own = [values / 10.0**power for values, power in zip(path, powers, strict=True)]
+        axes.plot(*(values[::every] for values in own), **style)
+        if len(lines) <= MAX_LINES:
+            axes.plot(*(values[:1] for values in own), "o", color=style["color"], ms=3.5)
     for axis, (text, unit), power in zip("xyz", words, powers, strict=True):
         getattr(axes, f"set_{axis}label")(with_unit(text, unit, f"$10^{{{power}}}$" * bool(power)))
         axes.tick_params(axis, pad=-2)
