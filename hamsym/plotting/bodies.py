@@ -66,14 +66,13 @@ def draw_bodies(axes: Any, motion: Motion, letters: str, *, levels: bool = True)
     ]
     labels = ["(" + ", ".join(math_name(name) for name in body) + ")" for body in shown]
     words = [(math_name(name[0]), quantity(H, name)[1]) for name in bodies[0]]
-    styles = [line_style(k) for k in range(len(shown))]
+    paths = zip(labels, zip(*columns, strict=True), strict=True)
+    lines = [({**line_style(k), "label": text}, path) for k, (text, path) in enumerate(paths)]
     notes: list[Any] = []
     if len(letters) == 3:
-        paths = zip(styles, labels, zip(*columns, strict=True), strict=True)
-        lines = [({**style, "label": text}, path) for style, text, path in paths]
         notes += paths_in_space(axes, lines, words, True)
     else:
-        paths_in_plane(axes, motion, (columns[0], columns[1]), styles, labels)
+        paths_in_plane(axes, motion, lines)
         label(axes.xaxis, *words[0])
         label(axes.yaxis, *words[1])
         notes += equal_aspect(axes, *columns)

@@ -126,6 +126,11 @@ class Motion:
         entries = zip(values, self.styles, self.labels(), strict=True)
         return [(row, {**style, "label": text}) for row, style, text in entries]
 
+    def lines(self, columns: Sequence[np.ndarray]) -> list[Line]:
+        """Return the path of each trajectory, from values along the axes, shape (members, n)."""
+        paths = zip(self.path_styles, self.labels(), zip(*columns, strict=True), strict=True)
+        return [({**style, "label": text}, path) for style, text, path in paths]
+
     def legend(self, axes: Axes, **options: Any) -> None:
         """Add a legend of several trajectories, whose title is what varies."""
         if any(self.labels()):
@@ -275,7 +280,7 @@ def in_plane(
     H = motion.H
     notes: list[Any] = []
     columns = motion.column(x), motion.column(y)
-    paths_in_plane(axes, motion, columns, motion.styles, motion.labels())
+    paths_in_plane(axes, motion, motion.lines(columns))
     for side, each, column in zip("xy", (x, y), columns, strict=True):
         if each.place is None:
             _fold_escape(axes, side, motion.t, column)
@@ -296,24 +301,17 @@ def in_plane(
     return notes
 
 
-def paths_in_plane(
-    axes: Axes,
-    motion: Motion,
-    columns: tuple[np.ndarray, np.ndarray],
-    styles: Sequence[dict[str, Any]],
-    labels: Sequence[str],
-) -> None:
-    """Draw paths in a plane; columns have the shape (paths, n)."""
+def paths_in_plane(axes: Axes, motion: Motion, lines: Sequence[Line]) -> None:
+    """Draw paths in a plane."""
     count = motion.z.shape[1] * len(motion.z)
     every = max(1, round(motion.z.shape[1] / _MAX_POINTS))
-    for x, y, style, text in zip(*columns, styles, labels, strict=True):
-        color = style["color"]
+    for style, (x, y) in lines:
+        color, dense = style["color"], count > _DENSE
         if motion.apart:
             style = {**style, **_DOTS}
         if every > 1:  # lines between distant points would be chords
-            style = {"color": color, "linestyle": "none", "marker": ".", "markersize": 0.8}
-        dense = count > _DENSE
-        axes.plot(x[::every], y[::every], **style, label=text, rasterized=dense)
+            style = {"color": color, "label": style["label"], **_DOTS, "markersize": 0.8}
+        axes.plot(x[::every], y[::every], **style, rasterized=dense)
         if len(motion.z) <= MAX_LINES:
             axes.plot(x[0], y[0], "o", color=color, markersize=3.5, zorder=3)
 
@@ -333,9 +331,8 @@ def in_space(axes: Any, motion: Motion, drawn: Sequence[Observable]) -> list[str
     names = [each.text for each in drawn if each.place is not None]
     alike = len(names) == 3 and all(same_scale(motion.H, names[0], name) for name in names)
     columns = [motion.column(each) for each in drawn]
-    lines = zip(motion.path_styles, motion.labels(), zip(*columns, strict=True), strict=True)
-    labelled = [({**style, "label": text}, path) for style, text, path in lines]
-    return paths_in_space(axes, labelled, [axis_words(each) for each in drawn], alike)
+    words = [axis_words(each) for each in drawn]
+    return paths_in_space(axes, motion.lines(columns), words, alike)
 
 
 def paths_in_space(
