@@ -80,9 +80,9 @@ def _certificate(path: Path, solution: Any) -> Any:
 def check_export(path: str | None) -> None:
     """Raise InputError if an export could not be written, before hours of work."""
     if path is not None:
-        from hamsym.exporting.export import check_target
+        from hamsym.exporting.export import checked_target
 
-        check_target(path)
+        checked_target(path)
         check_directory(path)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,15 +44,11 @@ def _comparison(comparison: Comparison) -> Facts:
         | {"component_errors": by_name(H.names, row.component_errors)}
         for row in comparison.rows
     ]
-    return Facts(
-        "Comparison",
-        headline,
-        solution.message,
-        bool(solution.success),
-        own.verdict,
-        own.formulas,
-        own.given,
-        (
+    return replace(
+        own,
+        kind="Comparison",
+        headline=headline,
+        entries=(
             _rows(comparison.rows),
             _matches(comparison),
             Fact("solution", value=own.values()),
@@ -60,7 +57,7 @@ def _comparison(comparison: Comparison) -> Facts:
             Fact("reference", value=comparison.reference.text),
             Fact("reference_error", value=comparison.reference_error),
         ),
-        sum(trajectory.z.size for trajectory in comparison.trajectories),
+        drawn=sum(trajectory.z.size for trajectory in comparison.trajectories),
     )
 
 
