@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 
 from hamsym.plotting.captions import caption_words
 from hamsym.plotting.figure import figure_of, label, legend_above, one_panel
-from hamsym.plotting.names import math_name, number, quantity, words_of
+from hamsym.plotting.names import math_name, number, quantity, some_of, words_of
 from hamsym.plotting.panels import Panel, draw_panels
 from hamsym.plotting.style import color_of, positive
 from hamsym.plotting.time_axes import (
@@ -55,11 +55,8 @@ def draw_enclosure(found: Enclosure, *names: Any, ax: Any = None) -> Any:
     for name, ball in found.parameters.items():
         middle, radius = number(float(ball.mid), 8), number(float(ball.radius), 2)
         sentences.append([math_name(name), f"= {middle}", "±", radius])
-    if not names and H.dim > _MOST_PANELS:
-        sentences.append(
-            f"{_MOST_PANELS} of {H.dim} components are drawn; plot('{H.names[H.dof - 1]}') draws "
-            "others"
-        )
+    if not names:
+        sentences += some_of(len(shown) - 1, H.dim, "components", H.names[H.dof - 1])
     extent = np.ptp(states.mid, axis=0)
     if (2 * states.radius.max(axis=0) < _VISIBLE * extent).all():
         sentences.append("Bands are narrower than lines; their widths are drawn too")

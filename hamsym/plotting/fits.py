@@ -19,6 +19,7 @@ from hamsym.plotting.names import (
     math_name,
     quantity,
     shortened,
+    some_of,
     time_name,
 )
 from hamsym.plotting.names import number as shown_number
@@ -39,11 +40,9 @@ def draw_fit(found: Fit, *names: Any, number: int = 0, ax: Any = None) -> Any:
     labels = list(found.data)
     chosen = [known_name(name, labels, "an observable") for name in names] or labels
     sentences = _sentences(found, at, several)
-    if len(chosen) > _MOST and not names:
-        sentences.append(
-            f"{_MOST} of {len(chosen)} observables are drawn; plot('{chosen[-1]}') draws others"
-        )
-        chosen = chosen[:_MOST]
+    if not names:
+        chosen = labels[:_MOST]
+        sentences += some_of(len(chosen), len(labels), "observables", labels[-1])
     fitted = {*found.names}
     fixed = {name: value for name, value in found.H.parameters.items() if name not in fitted}
     caption = caption_words(found.H, *sentences, parameters=fixed)

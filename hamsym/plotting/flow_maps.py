@@ -14,7 +14,7 @@ from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.plotting.captions import axis_words, caption_words, formula_of
 from hamsym.plotting.figure import figure_of, label, one_panel, require_no_axes
 from hamsym.plotting.motions import drawn_of, own_parameters
-from hamsym.plotting.names import amount, enumerated, math_name, number, time_name
+from hamsym.plotting.names import amount, enumerated, math_name, number, some_of, time_name
 from hamsym.plotting.panels import Panel, draw_panels
 from hamsym.plotting.style import COLORS, COLUMN, PAGE, color_of, shades
 from hamsym.plotting.time_axes import label_time
@@ -49,12 +49,10 @@ def draw_flow_map(flow: FlowMap, *names: Any, ax: Any = None) -> Any:
     total = H.dof if whole else H.dim
     shown = min(total, _MOST)
     pairs = [k + side for k in range(H.dof) for side in (0, H.dof)]
-    others: list[str] = []
     components = [H.observable(name) for name in H.names]
-    if shown < total:
-        what = "phase planes" if whole else "components"
-        other = f"'{H.names[H.dof - 1]}', '{H.names[-1]}'" if whole else f"'{H.names[-1]}'"
-        others = [f"{shown} of {total} {what} are drawn; plot({other}) draws others"]
+    what = "phase planes" if whole else "components"
+    other = (H.names[H.dof - 1], H.names[-1]) if whole else (H.names[-1],)
+    others = some_of(shown, total, what, *other)
     columns = min(shown, 3) if whole else 2
     height = (PAGE / columns if columns > 1 else COLUMN) if whole else 4.5
 

@@ -90,6 +90,13 @@ def sentence_words(sentences: Iterable[str | Sequence[str]]) -> list[str]:
     return words
 
 
+def some_of(shown: int, total: int, what: str, *other: str) -> list[str]:
+    """Return the sentence that some are drawn, with names that draw another; none for all."""
+    names = ", ".join(f"'{name}'" for name in other)
+    text = f"{shown} of {total} {what} are drawn; plot({names}) draws others"
+    return [text] if shown < total else []
+
+
 def enumerated(parts: Iterable[Sequence[str]]) -> list[str]:
     """Return the words of several parts, with commas between the parts."""
     words: list[str] = []

@@ -14,7 +14,7 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.plotting.bodies import PROJECTIONS, bodies_of, draw_bodies, draw_projection
 from hamsym.plotting.figure import Figure, figure_of, legend_above, one_panel, require_no_axes
 from hamsym.plotting.motions import Motion, draw_motion, in_plane, over_time, plane_title
-from hamsym.plotting.names import energy_unit, with_unit
+from hamsym.plotting.names import energy_unit, some_of, with_unit
 from hamsym.plotting.panels import Draw
 from hamsym.plotting.style import PAGE, line_style, styled
 from hamsym.plotting.time_axes import envelope, fill_time, name_curves
@@ -77,13 +77,8 @@ def _overview(motion: Motion, lower: Sequence[Draw], sentences: Sequence[Any]) -
     planes = [_PROJECTION] * 2 if spatial else [_PLANE]
     planes = [_BESIDE_PORTRAIT] * 2 if H.dof == 1 else planes
     heights = keys + [row] * shown + planes + [_LOWER] * below
-    notes: list[Any] = []
-    if shown < H.dof:
-        i = H.dof - 1
-        notes.append(
-            f"{shown} of {H.dof} degrees of freedom are drawn; plot('{H.names[i]}', "
-            f"'{H.names[H.dof + i]}') draws others"
-        )
+    last = H.names[H.dof - 1], H.names[-1]
+    notes: list[Any] = [*some_of(shown, H.dof, "degrees of freedom", *last)]
     figure = Figure.of_size(PAGE, sum(heights) + 1.2)
     grid = figure.add_gridspec(len(heights), 2, height_ratios=heights)
     if named:  # a row for the legend
@@ -121,9 +116,9 @@ def _overview(motion: Motion, lower: Sequence[Draw], sentences: Sequence[Any]) -
         in_plane(plane, motion, motion.component(0), motion.component(H.dof))
         plane.set_title(plane_title(H, H.names[0], H.names[H.dof]))
     for k in range(below):
-        last = len(heights) - below + k
+        lowest = len(heights) - below + k
         alone = len(lower) - len(places) == 1
-        places += [grid[last, :]] if alone else [grid[last, 0], grid[last, 1]]
+        places += [grid[lowest, :]] if alone else [grid[lowest, 0], grid[lowest, 1]]
     free = [figure.add_subplot(place) for place in places]
     motion.color_bar(tops)
     for axes, draw in zip(free, lower, strict=False):
