@@ -20,10 +20,10 @@ from hamsym.plotting.names import (
     quantity,
     shortened,
     some_of,
-    time_name,
 )
 from hamsym.plotting.names import number as shown_number
 from hamsym.plotting.style import COLUMN, GREY, PAGE, SAMPLES, color_of, styled
+from hamsym.plotting.time_axes import label_time
 from hamsym.support.validation import require_whole
 
 _MOST = 6  # observables of an overview
@@ -109,7 +109,7 @@ def _draw_data(axes: Axes, found: Fit, name: str, at: tuple[int, ...]) -> None:
     axes.plot(dense, found(dense)[name][at], **own, label="fitted motion")
     axes.set_title(_named(found, name)[0])
     label(axes.yaxis, *_named(found, name))
-    label(axes.xaxis, *quantity(found.H, time_name(found.H)))
+    label_time(axes, found.H)
     legend_above(axes)
 
 
@@ -120,4 +120,4 @@ def _draw_residuals(axes: Axes, found: Fit, name: str, at: tuple[int, ...]) -> N
     for side in (-2, 2):
         axes.axhline(side, color=GREY, linewidth=0.6, linestyle=":")
     label(axes.yaxis, r"residual / $\sigma$")
-    label(axes.xaxis, *quantity(found.H, time_name(found.H)))
+    label_time(axes, found.H)

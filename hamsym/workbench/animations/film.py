@@ -40,10 +40,8 @@ class Film:
         self._motion, self._scene, self._times = motion, scene, times
         every = max(1, math.ceil(_SAMPLES / len(times))) if tail and scene.traced else 1
         start, end = motion.span
-        if motion.closed:
-            fine = np.linspace(start, end, len(times) * every, endpoint=False)
-        else:
-            fine = np.linspace(start, end, (len(times) - 1) * every + 1)
+        count = (len(times) - 1) * every + (every if motion.closed else 1)
+        fine = np.linspace(start, end, count, endpoint=not motion.closed)
         fine[::every] = times
         states = motion.at(fine)
         self.states = states[::every]
