@@ -150,19 +150,19 @@ def number(value: float, digits: int = 6) -> str:
     return f"${times}10^{{{int(power)}}}$"
 
 
-def distinct_numbers(values: Sequence[float], digits: int = 4) -> list[str]:
-    """Return numbers with as many digits as tell different ones apart, at least so many.
+def distinct_numbers(values: Sequence[float]) -> list[str]:
+    """Return numbers with as many digits as tell different ones apart, from 4 to 15.
 
     Examples
     --------
     >>> distinct_numbers([0.25, 1 / 3]), distinct_numbers([1.00001, 1.00002])
     (['0.25', '0.3333'], ['1.00001', '1.00002'])
     """
-    while True:
+    for digits in range(4, 16):
         texts = [number(value, digits) for value in values]
-        if digits >= 15 or len(set(texts)) >= len(set(values)):
-            return texts
-        digits += 1
+        if len(set(texts)) >= len(set(values)):
+            break
+    return texts
 
 
 def quantity(H: Hamiltonian, name: str) -> tuple[str, str]:
