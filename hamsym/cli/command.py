@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -40,14 +39,6 @@ _MEANT = {
     **dict.fromkeys(("y0", "x0", "start", "initial", "state"), "z0"),
     **dict.fromkeys(("parameter", "parameters", "params"), "param"),
 }
-
-
-class InterruptError(Exception):
-    """Ctrl-C, which click would answer with an empty line of its own."""
-
-
-class ClosedPipeError(Exception):
-    """A closed standard output, for which click would exit with status 1."""
 
 
 @dataclass(frozen=True)
@@ -179,14 +170,8 @@ class Command(click.Command):
 
 
 def _section(parameter: click.Parameter) -> str:
-    given = getattr(parameter, "section", None)
-    if given is not None:
-        return str(given)
-    for option in parameter.opts:
-        title = _SECTIONS.get(option.lstrip("-"))
-        if title is not None:
-            return title
-    return "Method"
+    titles = (_SECTIONS.get(option.lstrip("-")) for option in parameter.opts)
+    return getattr(parameter, "section", None) or next(filter(None, titles), "Method")
 
 
 def _continued(command: str, width: int) -> list[str]:
@@ -199,17 +184,6 @@ def _continued(command: str, width: int) -> list[str]:
         else:
             lines[-1] += f" {part}" if lines[-1] else part
     return lines
-
-
-@contextmanager
-def _own_errors() -> Iterator[None]:
-    """Raise own errors for those that click would answer itself."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        raise InterruptError from None
-    except BrokenPipeError:
-        raise ClosedPipeError from None
 
 
 class Group(click.Group):
@@ -234,14 +208,6 @@ class Group(click.Group):
             ctx.fail(f"No such command '{args[0]}'{hint}; 'hamsym --help' lists them")
         return super().resolve_command(ctx, args)
 
-    def make_context(self, *arguments: Any, **options: Any) -> click.Context:
-        with _own_errors():  # --help prints here
-            return super().make_context(*arguments, **options)
-
-    def invoke(self, ctx: click.Context) -> Any:
-        with _own_errors():
-            return super().invoke(ctx)
-
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands by subject."""
         for title, commands in self.subjects.items():
@@ -253,9 +219,6 @@ class Group(click.Group):
 
 class Choice(click.Choice):
     """A choice among names, whose error suggests a similar one."""
-
-    def __init__(self, names: Iterable[str]) -> None:
-        super().__init__(list(names))
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         names = [str(name) for name in self.choices]

@@ -20,18 +20,17 @@ import warnings
 from collections.abc import Sequence
 
 import click
+from click.shell_completion import shell_complete
 
 from hamsym.cli.catalogue import systems
-from hamsym.cli.command import HELP, ClosedPipeError, Group, InterruptError
+from hamsym.cli.command import HELP, Group
 from hamsym.cli.derivation import derive, invariants, source
-from hamsym.cli.equilibria import equilibria
-from hamsym.cli.exploring import explore
-from hamsym.cli.exporting import export, report
+from hamsym.cli.dynamics import equilibria, lyapunov, orbit, section
 from hamsym.cli.fitting import fit
-from hamsym.cli.orbits import orbit
 from hamsym.cli.paper import reproduce
 from hamsym.cli.proofs import certify, verify
-from hamsym.cli.trajectories import compare, integrate, lyapunov, section, solve
+from hamsym.cli.sharing import explore, export, report
+from hamsym.cli.trajectories import compare, integrate, solve
 from hamsym.errors import CertificationError, HamsymError, StepSizeWarning
 from hamsym.support.text_tables import WIDTH
 
@@ -56,22 +55,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
             status = _fail(str(error), 1, as_json)
         except HamsymError as error:
             status = _fail(str(error), 2, as_json)
-        except (InterruptError, click.Abort, KeyboardInterrupt):
+        except (click.Abort, KeyboardInterrupt):
             # A terminal shows ^C in the line of the cursor.
             print(end="\n" if sys.stderr.isatty() else "", file=sys.stderr)
             status = _fail("interrupted", 130, as_json)
-        except (BrokenPipeError, ClosedPipeError):
+        except BrokenPipeError:
             raise
         except OSError as error:
             status = _fail(f"{error.filename or 'file'}: {error.strerror or error}", 2, as_json)
         sys.stdout.flush()
-    except (BrokenPipeError, ClosedPipeError):
+    except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     return status
 
 
 def _run(arguments: list[str]) -> int:
+    """Run a command, as ``cli.main`` does, which would answer Ctrl-C and closed pipes itself."""
+    if instruction := os.environ.get("_HAMSYM_COMPLETE"):
+        sys.exit(shell_complete(cli, {}, "hamsym", "_HAMSYM_COMPLETE", instruction))
     with warnings.catch_warnings():
         # Print one line, as for an error, without the source location.
         warnings.simplefilter("always", StepSizeWarning)
@@ -79,7 +81,11 @@ def _run(arguments: list[str]) -> int:
         warnings.showwarning = lambda message, category, *where: (
             _warn(message) if category is StepSizeWarning else shown(message, category, *where)
         )
-        return int(cli.main(args=arguments, prog_name="hamsym", standalone_mode=False) or 0)
+        try:
+            with cli.make_context("hamsym", arguments) as context:
+                return int(cli.invoke(context) or 0)
+        except click.exceptions.Exit as ended:  # after --help
+            return ended.exit_code
 
 
 def _fail(message: str, status: int, as_json: bool) -> int:

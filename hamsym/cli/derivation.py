@@ -14,7 +14,7 @@ from hamsym.cli.texts import NAMES
 from hamsym.codegen.backends import BACKENDS, FUNCTIONS
 from hamsym.errors import InputError
 from hamsym.support.atomic import write_atomically
-from hamsym.support.text_tables import ROWS, columns, wrapped
+from hamsym.support.text_tables import columns, wrapped
 
 if TYPE_CHECKING:
     from hamsym.hamiltonian import Hamiltonian
@@ -182,7 +182,7 @@ def source(H: Hamiltonian, backend: str, part: str | None, output: str | None) -
     help="A further function, e.g. cos(phi); repeat it.",
 )
 @click.option("--time-limit", type=float, default=60.0, show_default=True, metavar="SECONDS")
-@rows_option(ROWS)
+@rows_option
 def invariants(
     H: Hamiltonian, degree: int, basis: tuple[str, ...], time_limit: float, rows: int | None
 ) -> Report:

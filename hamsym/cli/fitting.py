@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hamsym.cli.command import Report, command, report_of
-from hamsym.cli.options import hamiltonian_options, output_options, rows_option
+from hamsym.cli.command import command, report_of
+from hamsym.cli.options import Output, hamiltonian_options, output_options, rows_option
 from hamsym.cli.texts import TIME, VALUES, Parsed, number, ranges, state
 from hamsym.errors import InputError
-from hamsym.support.text_tables import ROWS
 
 if TYPE_CHECKING:
     from hamsym.hamiltonian import Hamiltonian
@@ -41,7 +40,7 @@ def _sigma(text: str) -> Any:
 @click.option("--confidence", default=0.95, show_default=True, help="Of the intervals.")
 @click.option("--tol", default=1e-9, show_default=True, help="Tolerance of the motion.")
 @output_options("Data, model and residuals as .csv or .npz.")
-@rows_option(ROWS)
+@rows_option
 def fit(
     H: Hamiltonian,
     file: str,
@@ -49,7 +48,7 @@ def fit(
     t_end: float | None,
     rows: int | None,
     **options: Any,
-) -> tuple[Any, Report, list[tuple[str, Any]], dict[str, Any]]:
+) -> Output:
     """Fit parameters and components of the start to noisy data; exit 1 without success.
 
     DATA is a .csv file with a header: the column t, and one for each observable, which is a

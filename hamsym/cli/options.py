@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hamsym.cli.command import Report, completing
-from hamsym.cli.output import check_figure, check_table, save_figure, write_table
+from hamsym.cli.output import FIGURES, TABLES, check_file, save_figure, write_table
 from hamsym.cli.texts import NAMES, STATE, TIME, assignments, formulas, joined
 from hamsym.errors import InputError
 from hamsym.support.suggestions import similar
+from hamsym.support.text_tables import ROWS
 from hamsym.support.text_tables import wrapped as wrapped_text
 
 if TYPE_CHECKING:
@@ -113,64 +114,48 @@ def _given_start(H: Hamiltonian, start: Any) -> Any:
     raise InputError(f"--z0 is missing; give a value of each component, e.g. --z0 {example}")
 
 
-def _time_options(command: Command) -> Command:
-    """Add --t-start and --t-end; the command takes a span."""
+def start_options(*, several: bool) -> Callable[[Command], Command]:
+    """Add the start and the times; the command takes a state, or an array of several, and a span.
 
-    @click.option("--t-start", type=TIME, default="0", show_default=True)
-    @click.option("--t-end", type=TIME, help='For example 20 or "4*pi".  [required]')
-    @functools.wraps(command)
-    def wrapped(*arguments: Any, t_start: float, t_end: float | None, **options: Any) -> Any:
-        if t_end is None and (problem := _usual()) is not None:
-            t_end = problem.span[1]
-        if t_end is None:
-            raise InputError("--t-end is missing; give the last time, e.g. --t-end 20")
-        return command(*arguments, span=(t_start, t_end), **options)
+    States that lack a component get it from the option ``energy`` of the command, if it has one.
+    """
+    more = "; repeat it for further trajectories" if several else " or 1.3,1"
 
-    return wrapped
+    def decorate(command: Command) -> Command:
+        @click.option(
+            *("--z0", "start"),
+            type=STATE,
+            multiple=several,
+            help=f"For example x=1.3,p=1{more}.  [required]",
+        )
+        @click.option("--t-start", type=TIME, default="0", show_default=True)
+        @click.option("--t-end", type=TIME, help='For example 20 or "4*pi".  [required]')
+        @functools.wraps(command)
+        def wrapped(
+            H: Hamiltonian, start: Any, t_start: float, t_end: float | None, **options: Any
+        ) -> Any:
+            if t_end is None and (problem := _usual()) is not None:
+                t_end = problem.span[1]
+            if t_end is None:
+                raise InputError("--t-end is missing; give the last time, e.g. --t-end 20")
+            span = t_start, t_end
+            if not several:
+                return command(H, _given_start(H, start), span, **options)
+            states = [_given_start(H, given) for given in start or (None,)]
+            if (energy := options.pop("energy", None)) is not None:
+                if not all(isinstance(given, dict) for given in states):
+                    raise InputError(
+                        "--energy needs states by name; write e.g. --z0 x=0,y=0.1,p_y=0"
+                    )
+                states = [H.state_at_energy(energy, given, t_start) for given in states]
+            import numpy as np
 
+            arrays = [H.state_from(given) for given in states]
+            return command(H, arrays[0] if len(arrays) == 1 else np.array(arrays), span, **options)
 
-def span_options(command: Command) -> Command:
-    """Add one initial state and the times; the command takes a state and a span."""
+        return wrapped
 
-    @click.option("--z0", "start", type=STATE, help="For example x=1.3,p=1 or 1.3,1.  [required]")
-    @_time_options
-    @functools.wraps(command)
-    def wrapped(H: Hamiltonian, start: Any, span: tuple[float, float], **options: Any) -> Any:
-        return command(H, _given_start(H, start), span, **options)
-
-    return wrapped
-
-
-def starts_options(command: Command) -> Command:
-    """Add initial states and the times; the command takes states and a span."""
-
-    @click.option(
-        *("--z0", "starts"),
-        type=STATE,
-        multiple=True,
-        help="For example x=1.3,p=1; repeat it for further trajectories.  [required]",
-    )
-    @_time_options
-    @functools.wraps(command)
-    def wrapped(
-        H: Hamiltonian, starts: tuple[Any, ...], span: tuple[float, float], **options: Any
-    ) -> Any:
-        energy = options.pop("energy", None)
-        states: list[Any] = [_given_start(H, start) for start in starts or (None,)]
-        if energy is not None:
-            states = [H.state_at_energy(energy, _by_name(given), span[0]) for given in states]
-        import numpy as np
-
-        arrays = [H.state_from(given) for given in states]
-        return command(H, arrays[0] if len(arrays) == 1 else np.array(arrays), span, **options)
-
-    return wrapped
-
-
-def _by_name(given: Any) -> dict[str, float]:
-    if not isinstance(given, dict):
-        raise InputError("--energy needs states by name; write e.g. --z0 x=0,y=0.1,p_y=0")
-    return given
+    return decorate
 
 
 def integrator_options(command: Command) -> Command:
@@ -195,18 +180,13 @@ def integrators() -> list[str]:
     return [*INTEGRATORS, *ALIASES]
 
 
-def rows_option(rows: int | None) -> Callable[[Command], Command]:
-    """Add --full; the command takes the number of rows of its tables."""
-
-    def decorate(command: Command) -> Command:
-        @click.option("--full", is_flag=True, help="Print all rows of tables.")
-        @functools.wraps(command)
-        def wrapped(*arguments: Any, full: bool, **options: Any) -> Any:
-            return command(*arguments, rows=None if full else rows, **options)
-
-        return wrapped
-
-    return decorate
+#: Adds --full; the command takes the number of rows of its tables.
+rows_option = click.option(
+    *("--full", "rows"),
+    is_flag=True,
+    callback=lambda _, __, full: None if full else ROWS,
+    help="Print all rows of tables.",
+)
 
 
 def figure_options(command: Command) -> Command:
@@ -226,7 +206,7 @@ def figure_options(command: Command) -> Command:
     def wrapped(*arguments: Any, figure: str | None, names: list[str], **options: Any) -> Any:
         if names and figure is None:
             raise InputError("--draw says what a figure shows; give its file too, --plot FILE")
-        check_figure(figure)
+        check_file(figure, FIGURES)
         for name in names:
             if not name.isidentifier() or similar(name, arguments[0].names):
                 arguments[0].observable(name)
@@ -241,6 +221,9 @@ def figure_options(command: Command) -> Command:
     return wrapped
 
 
+#: A result that has ``plot``, its report, columns of a .csv file, and arrays of a .npz file.
+Output = tuple[Any, Report, list[tuple[str, Any]], dict[str, Any]]
+
 #: Writes the figure of a result, if one was asked for, and adds it to the files of a report.
 Draw = Callable[[Any, Report], None]
 
@@ -248,8 +231,7 @@ Draw = Callable[[Any, Report], None]
 def output_options(table_help: str) -> Callable[[Command], Command]:
     """Add -o for a table and --plot, which are checked before the command runs.
 
-    The command returns a result that has ``plot``, its report, the columns of a .csv file and the
-    arrays of a .npz file. They are written, and the report is returned.
+    The command returns an :data:`Output`; its table is written, and the report is returned.
     """
 
     def decorate(command: Command) -> Command:
@@ -257,7 +239,7 @@ def output_options(table_help: str) -> Callable[[Command], Command]:
         @figure_options
         @functools.wraps(command)
         def wrapped(*arguments: Any, output: str | None, draw: Draw, **options: Any) -> Report:
-            check_table(output)
+            check_file(output, TABLES)
             result, report, columns, arrays = command(*arguments, **options)
             if output is not None:
                 write_table(output, columns, arrays)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,16 +18,14 @@ if TYPE_CHECKING:
 CERTIFICATE = ".certificate"  # ending of the file beside that of a solution
 
 
-_FIGURE_ENDINGS = (".png", ".pdf", ".svg")
+#: Endings of the files of figures and of tables.
+FIGURES, TABLES = (".png", ".pdf", ".svg"), (".csv", ".npz")
 
 
-def check_figure(path: str | None) -> None:
-    """Raise InputError if a figure could not be written, before hours of work."""
-    if path is None:
-        return
-    if Path(path).suffix not in _FIGURE_ENDINGS:
-        listed = ", ".join(_FIGURE_ENDINGS)
-        raise InputError(f"'{path}' is not a figure file; give a name that ends in one of {listed}")
+def check_file(path: str | None, endings: Sequence[str]) -> None:
+    """Raise InputError if a file with such an ending could not be written, before hours of work."""
+    if path is not None and Path(path).suffix not in endings:
+        raise InputError(f"'{path}' has another ending; give a name with {' or '.join(endings)}")
     check_directory(path)
 
 
@@ -41,13 +40,6 @@ def save_figure(figure: Any, path: str) -> None:
     buffer = io.BytesIO()
     figure.savefig(buffer, format=Path(path).suffix[1:])
     write_atomically(Path(path), buffer.getvalue())
-
-
-def check_table(path: str | None) -> None:
-    """Raise InputError if a table could not be written."""
-    if path is not None and Path(path).suffix not in (".csv", ".npz"):
-        raise InputError(f"'{path}' is neither .csv nor .npz; give a name with such an ending")
-    check_directory(path)
 
 
 def write_table(

@@ -12,7 +12,7 @@ from hamsym.cli.command import Report, command, report_of
 from hamsym.cli.options import rows_option
 from hamsym.cli.output import CERTIFICATE, check_directory, write_certificate
 from hamsym.cli.texts import saved_solution
-from hamsym.support.text_tables import ROWS, wrapped
+from hamsym.support.text_tables import wrapped
 
 _time_limit = click.option(
     "--time-limit", type=float, metavar="SECONDS", help="Refuse after this time."
@@ -29,7 +29,7 @@ _time_limit = click.option(
 @click.option("--bound", type=float, help="Prove only that each component's error is below.")
 @_time_limit
 @click.option("-o", "--output", type=click.Path(), metavar="CERTIFICATE", help="[FILE.certificate]")
-@rows_option(ROWS)
+@rows_option
 def certify(file: str, output: str | None, rows: int | None, **options: Any) -> Report:
     """Compute a rigorous error bound for a saved solution, and write the certificate.
 

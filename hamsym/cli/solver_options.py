@@ -27,15 +27,12 @@ class SolverCommand(Command):
     def invoke(self, ctx: click.Context) -> int:
         from hamsym.solving.methods import made_method
 
-        options = {}
+        options: dict[str, Any] = {}
         for parameter in _solver_parameters():
-            value = ctx.params.get(str(parameter.name))
-            if isinstance(parameter, _MethodOption):
-                ctx.params.pop(str(parameter.name), None)
-                if value is not None:
-                    options[str(parameter.name)] = value
-            elif value is None:
-                ctx.params.pop(str(parameter.name), None)
+            name = str(parameter.name)
+            value = ctx.params.pop(name, None)
+            if value is not None:
+                (options if isinstance(parameter, _MethodOption) else ctx.params)[name] = value
         ctx.params["method"] = made_method(ctx.params["method"], options)
         return super().invoke(ctx)
 

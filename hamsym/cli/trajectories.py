@@ -1,4 +1,4 @@
-"""Commands that compute trajectories: solve, compare, integrate, lyapunov, section."""
+"""Commands that compute trajectories: solve, compare, integrate."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hamsym.cli.command import Report, command, completing, report_of
-from hamsym.cli.exporting import check_export
 from hamsym.cli.options import (
     Draw,
+    Output,
     figure_options,
     hamiltonian_options,
     integrator_options,
@@ -18,22 +18,15 @@ from hamsym.cli.options import (
     output_options,
     rows_option,
     show_methods,
-    span_options,
-    starts_options,
+    start_options,
 )
 from hamsym.cli.output import check_directory, write_certificate
+from hamsym.cli.sharing import check_export
 from hamsym.cli.solver_options import SolverCommand
-from hamsym.cli.texts import NAMES, NUMBER
-from hamsym.errors import InputError
-from hamsym.support.text_tables import ROWS
+from hamsym.cli.texts import NAMES
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from hamsym.hamiltonian import Hamiltonian
-
-#: A result, its report, the columns of its table, and its arrays.
-Output = tuple[Any, Report, list[tuple[str, Any]], dict[str, Any]]
 
 
 @command(
@@ -46,7 +39,7 @@ Output = tuple[Any, Report, list[tuple[str, Any]], dict[str, Any]]
     cls=SolverCommand,
 )
 @hamiltonian_options
-@span_options
+@start_options(several=False)
 @click.option("--prove", is_flag=True, help="Prove that the error is within the tolerance.")
 @click.option(
     "--invariant",
@@ -58,7 +51,7 @@ Output = tuple[Any, Report, list[tuple[str, Any]], dict[str, Any]]
 @click.option("-o", "--output", type=click.Path(), metavar="FILE", help="For hamsym.load.")
 @click.option("--export", type=click.Path(), metavar="FILE", help="Code: .py, .json or .h.")
 @figure_options
-@rows_option(ROWS)
+@rows_option
 def solve(
     H: Hamiltonian,
     z0: Any,
@@ -104,7 +97,7 @@ def solve(
     cls=SolverCommand,
 )
 @hamiltonian_options
-@span_options
+@start_options(several=False)
 @click.option(
     "--with",
     "methods",
@@ -151,7 +144,7 @@ def compare(
     help="Show the methods and exit.",
 )
 @hamiltonian_options
-@starts_options
+@start_options(several=True)
 @integrator_options
 @click.option("--tol", type=float, help="Choose the steps for this relative error.")
 @click.option("--saves", type=int, help="With --tol: intervals between saved states  [100]")
@@ -161,7 +154,7 @@ def compare(
 @click.option("--rtol", type=float, help="For dop853 and odeint  [1e-13]")
 @click.option("--atol", type=float, help="For dop853 and odeint  [1e-13]")
 @output_options("States as .csv or .npz.")
-@rows_option(ROWS)
+@rows_option
 def integrate(
     H: Hamiltonian, z0: Any, span: tuple[float, float], rows: int | None, **options: Any
 ) -> Output:
@@ -187,98 +180,3 @@ def integrate(
         arrays["errors"] = trajectory.errors
         arrays["success"] = np.asarray(trajectory.success)
     return trajectory, report_of(trajectory, rows), columns, arrays
-
-
-_METHODS = "hamsym integrate --list shows the methods."
-
-
-@command(
-    "Compute Lyapunov exponents, MEGNO and SALI.",
-    'hamsym lyapunov "(p_x**2+p_y**2)/2 + (x**2+y**2)/2 + x**2*y - y**3/3" '
-    "--z0 0.3,-0.3,0.3,0.15 --t-end 1000",
-    'hamsym lyapunov "p**2/2 - cos(x)" --z0 1,0 --t-end 1000 --indicators',
-    epilog=_METHODS,
-)
-@hamiltonian_options
-@starts_options
-@integrator_options
-@click.option("--count", default=1, show_default=True, help="Number of exponents.")
-@click.option("--seed", default=0, show_default=True, help="Seed of the tangent vectors.")
-@click.option("--indicators", is_flag=True, help="MEGNO and SALI in place of the exponents.")
-@output_options("History, or exponents of several starts, as .csv or .npz.")
-@rows_option(ROWS)
-def lyapunov(
-    H: Hamiltonian,
-    z0: Any,
-    span: tuple[float, float],
-    indicators: bool,
-    rows: int | None,
-    **options: Any,
-) -> Output:
-    """Compute finite-time Lyapunov exponents and judge whether the trajectory is chaotic.
-
-    Of several starts, the exponents at the end are computed.
-    """
-    if indicators:
-        return _indicators(H, z0, span, **options)
-
-    from hamsym.dynamics.lyapunov import LyapunovExponents
-    from hamsym.dynamics.lyapunov import lyapunov as run
-
-    found: Any = run(H, z0, span, **options)
-    names = [f"exponent {k + 1}" for k in range(found.exponents.shape[-1])]
-    if isinstance(found, LyapunovExponents):
-        columns = [("t", found.t), *zip(names, found.exponents.T, strict=True)]
-        arrays = {"t": found.t, "exponents": found.exponents}
-        return found, report_of(found, rows), columns, arrays
-    columns = [*zip(H.names, found.z0.T, strict=True), *zip(names, found.exponents.T, strict=True)]
-    arrays = {"z0": found.z0, "exponents": found.exponents, "success": found.success}
-    return found, report_of(found, rows), columns, arrays
-
-
-def _indicators(
-    H: Hamiltonian, z0: Any, span: tuple[float, float], count: int, **options: Any
-) -> Output:
-    """Compute the chaos indicators of one trajectory over time."""
-    from hamsym.dynamics.chaos_indicators import chaos_indicators as run
-
-    if count != 1:
-        raise InputError(f"--count {count} has no meaning with --indicators; leave one of them out")
-    found = run(H, z0, span, **options)
-    arrays: dict[str, np.ndarray] = {
-        "t": found.t,
-        "megno": found.megno,
-        "mean_megno": found.mean_megno,
-        "sali": found.sali,
-    }
-    columns = [(name.replace("_", " "), values) for name, values in arrays.items()]
-    return found, report_of(found), columns, arrays
-
-
-@command(
-    "Compute a Poincare section.",
-    'hamsym section "p**2/2 - cos(x)" --z0 1,0 --t-end 50 --at "x = 0, p > 0"',
-    'hamsym section "(p_x**2+p_y**2)/2 + (x**2+y**2)/2 + x**2*y - y**3/3" '
-    '--z0 x=0,y=0.1,p_y=0 --energy 1/8 --t-end 500 --at "x = 0, p_x > 0" --plot section.png',
-    epilog=_METHODS,
-)
-@hamiltonian_options
-@starts_options
-@click.option("--at", "surface", required=True, metavar="SURFACE", help='"x = 0, p_x > 0"')
-@click.option("--energy", type=NUMBER, help="Energy of states that lack one component.")
-@integrator_options
-@click.option("--crossings", type=int, help="Stop at this number for each trajectory.")
-@click.option("--prove", is_flag=True, help="Prove that these are all, and how exact they are.")
-@output_options("Crossings as .csv or .npz.")
-@rows_option(ROWS)
-def section(
-    H: Hamiltonian, z0: Any, span: tuple[float, float], rows: int | None, **options: Any
-) -> Output:
-    """Compute a Poincare section: crossings of a surface, to round-off."""
-    from hamsym.dynamics.sections import section as run
-
-    found = run(H, z0, span, **options)
-    columns = [("trajectory", found.trajectory), ("t", found.t)]
-    columns += zip(H.names, found.z.T, strict=True)
-    arrays = {"trajectory": found.trajectory, "t": found.t, "z": found.z, "z0": found.z0}
-    return found, report_of(found, rows), columns, arrays

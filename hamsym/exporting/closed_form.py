@@ -113,15 +113,8 @@ class NetworkForm:
     @property
     def weights(self) -> np.ndarray:
         """All weights by window, network and layer: each matrix by rows, then its bias."""
-        return np.concatenate(
-            [
-                part.ravel()
-                for networks in self.networks
-                for layers in networks
-                for layer in layers
-                for part in layer
-            ]
-        )
+        layers = itertools.chain.from_iterable(itertools.chain.from_iterable(self.networks))
+        return np.concatenate([part.ravel() for layer in layers for part in layer])
 
     @property
     def numbers(self) -> int:
@@ -132,6 +125,12 @@ class NetworkForm:
 ClosedForm = FeatureForm | NetworkForm
 
 
+def envelope_text(form: ClosedForm) -> str:
+    """Return the equation of the factor f of a form."""
+    linear = isinstance(form, NetworkForm) and form.envelope == "linear"
+    return "f(s) = s" if linear else "f(s) = 1 - exp(-s)"
+
+
 def closed_form(solution: Solution) -> ClosedForm:
     """Return the numbers that define a solution; float32 weights are widened.
 
@@ -140,14 +139,8 @@ def closed_form(solution: Solution) -> ClosedForm:
     """
     trial: Any = solution.trial
     if isinstance(trial, FeatureTrial):
-        return FeatureForm(
-            float(trial.origin),
-            trial.edges,
-            trial.states,
-            trial.readouts,
-            trial.series,
-            rate_series(trial.series),
-        )
+        arrays = trial.edges, trial.states, trial.readouts, trial.series
+        return FeatureForm(float(trial.origin), *arrays, rate_series(trial.series))
     from hamsym.networks.chain import Chain
     from hamsym.networks.trial import TrialSolution
 

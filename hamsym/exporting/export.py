@@ -13,10 +13,8 @@ import sympy
 import hamsym
 from hamsym.errors import InputError
 from hamsym.exporting.about import About, checked_certificate
-from hamsym.exporting.c_header import c_header
 from hamsym.exporting.closed_form import ClosedForm, closed_form
-from hamsym.exporting.json_document import json_document
-from hamsym.exporting.python_module import python_module
+from hamsym.exporting.formats import c_header, json_document, python_module
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.solution.solution import Solution
 from hamsym.support.atomic import write_file
@@ -142,7 +140,7 @@ def export(
     ...     "<canvas" in Path(folder + "/spring.html").read_text("utf-8")
     True
     """
-    target, ending = _target(path)
+    target, ending = checked_target(path)
     if ending == LESSON:
         if certificate is not None:
             raise InputError("a lesson computes its own motion and has no certificate; give none")
@@ -204,13 +202,8 @@ def _export_lesson(
     write_file(target, lesson(solution, parameters, title, text))
 
 
-def check_target(path: str | os.PathLike[str]) -> None:
-    """Raise InputError unless the ending of a file's name has a format."""
-    _target(path)
-
-
-def _target(path: str | os.PathLike[str]) -> tuple[Path, str]:
-    """Return the file and its ending, which has a format."""
+def checked_target(path: str | os.PathLike[str]) -> tuple[Path, str]:
+    """Return the file and its ending; raise InputError unless this has a format."""
     try:
         target = Path(os.fsdecode(path))
     except TypeError:

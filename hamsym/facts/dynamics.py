@@ -15,6 +15,7 @@ from hamsym.facts.wording import (
     facts_of,
     formulas_of,
     problem_facts,
+    proven,
     silent,
     time_fact,
 )
@@ -148,48 +149,39 @@ def _section(section: Section) -> Facts:
 
 
 def _proven_crossings(section: Section) -> list[Fact]:
-    proven = section.certificate
-    if proven is None:
+    proof = section.certificate
+    if proof is None:
         return []
-    radii = {"t": proven.t.radius, **by_name(section.names, proven.z.radius.T)}
-    found = [Fact("statement", "proven", proven.statement, proven.statement)]
+    radii = {"t": proof.t.radius, **by_name(section.names, proof.z.radius.T)}
     widest = [f"{name} {error_text(own.max(initial=0.0))}" for name, own in radii.items()]
-    return [*found, Fact("radii", "largest radii", radii, ", ".join(widest))]
+    return [
+        Fact("statement", "proven", proof.statement, proof.statement),
+        Fact("radii", "largest radii", radii, ", ".join(widest)),
+    ]
 
 
 def _normal_form(form: NormalForm) -> Facts:
     names = ["*".join(f"I_{k + 1}**{n}" for k, n in enumerate(p) if n) for p in form.coefficients]
     balls = [ball_text(ball.mid, ball.radius) for ball in form.coefficients.values()]
     table = Table("terms", names, (Column("coefficient", balls),), "term")
-    omega = [
-        ball_text(m, r) for m, r in zip(form.frequencies.mid, form.frequencies.radius, strict=True)
-    ]
+    omega = map(ball_text, form.frequencies.mid, form.frequencies.radius)
     listed = "; ".join(str(k) for k in form.resonances[:_WIDE])
-    return Facts(
-        "NormalForm",
+    return proven(
+        form,
         form.statement,
-        success=True,
+        table,
+        Fact("frequencies", "frequencies", form.frequencies.mid, ", ".join(omega)),
+        Fact("resonances", "resonant terms left", form.resonances, listed),
+        Fact("domain", "estimated domain", form.domain, f"{form.domain:.3g}"),
         verdict="proven" if form.stable else "",
-        entries=(
-            table,
-            Fact("frequencies", "frequencies", form.frequencies.mid, ", ".join(omega)),
-            Fact("resonances", "resonant terms left", form.resonances, listed),
-            Fact("domain", "estimated domain", form.domain, f"{form.domain:.3g}"),
-        ),
     )
 
 
-def _section_certificate(proven: SectionCertificate) -> Facts:
-    balls = [ball_text(m, r) for m, r in zip(proven.t.mid, proven.t.radius, strict=True)]
+def _section_certificate(found: SectionCertificate) -> Facts:
+    balls = list(map(ball_text, found.t.mid, found.t.radius))
     names = [str(k + 1) for k in range(len(balls))]
     table = Table("crossings", names, (Column("t", balls),), "crossing")
-    return Facts(
-        "SectionCertificate",
-        proven.statement,
-        success=True,
-        verdict="proven",
-        entries=(table, time_fact(proven.seconds)),
-    )
+    return proven(found, found.statement, table, time_fact(found.seconds))
 
 
 def _equilibria(found: Equilibria) -> Facts:
@@ -204,7 +196,7 @@ def _equilibria(found: Equilibria) -> Facts:
         entries=(
             Fact("complete", value=found.complete),
             *undecided,
-            *([_states(found)] if len(found) else []),
+            _states(found),
             Fact("equilibria", value=[_equilibrium(each).values() for each in found]),
             Fact("undecided", value=[str(region) for region in found.undecided]),
             Fact("seconds", value=found.seconds),

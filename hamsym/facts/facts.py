@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -103,7 +103,7 @@ class Table:
     head: str = ""
     title: str = ""
     #: Which rows are shown of so many, by default the first.
-    choose: Callable[[int], Sequence[int]] | None = None
+    choose: Callable[[int], Iterable[int]] | None = None
     #: Whether all rows are always shown.
     whole: bool = False
     #: Most columns of a short table.

@@ -62,17 +62,14 @@ def _estimates(fit: Fit, several: bool) -> Table:
         labels = "median estimate", "median standard error", "smallest to largest"
         with np.errstate(all="ignore"):
             ends = [(np.min(own), np.max(own)) for own in values.values()]
-    return Table(
-        "quantities",
-        fit.names,
-        (
-            Column("unit", [fit.H.units.get(name, "") for name in fit.names]),
-            Column(labels[0], list(values.values()), lambda v: number(np.median(v), 8), "estimate"),
-            Column(labels[1], [errors[name] for name in fit.names],
-                   lambda v: number(np.median(v), 2), "standard_error"),
-            Column(labels[2], ends, lambda pair: f"{pair[0]:.8g} to {pair[1]:.8g}"),
-        ),
-    )  # fmt: skip
+    shown = (list(values.values()), [errors[name] for name in fit.names])
+    columns = (
+        Column("unit", [fit.H.units.get(name, "") for name in fit.names]),
+        Column(labels[0], shown[0], lambda v: number(np.median(v), 8), "estimate"),
+        Column(labels[1], shown[1], lambda v: number(np.median(v), 2), "standard_error"),
+        Column(labels[2], ends, lambda pair: f"{pair[0]:.8g} to {pair[1]:.8g}"),
+    )
+    return Table("quantities", fit.names, columns)
 
 
 def _quality(fit: Fit, several: bool) -> tuple[Fact, ...]:

@@ -110,7 +110,7 @@ def _invariants(found: Invariants) -> Facts:
             Formula(name, one.expr, one.formula) for name, one in zip(names, found, strict=True)
         ),
         entries=(
-            *([Table("invariants", names, columns)] if found else []),
+            Table("invariants", names, columns),
             Fact("message", "", found.message, found.message),
             Fact("invariants", value=values),
         ),

@@ -15,6 +15,7 @@ from hamsym.facts.wording import (
     formulas_of,
     given_of,
     largest_share,
+    proven,
     seconds_text,
     silent,
     span_fact,
@@ -42,13 +43,10 @@ def _certificate(certificate: Certificate) -> Facts:
     if asked is not None:
         headline += f", where {decimal(asked[worst])} was asked"
     headline += f"; of the state at most {decimal(certificate.bound)} (2-norm)"
-    others = ("energy", "ell_max")
     rows = ["|z|", *names, "H", "ell_max"]
     lowers = [certificate.lower, *certificate.component_lowers]
-    highs = [certificate.bound, *bounds]
-    for name in others:
-        lowers.append(getattr(certificate, f"{name}_lower"))
-        highs.append(getattr(certificate, f"{name}_bound"))
+    lowers += [certificate.energy_lower, certificate.ell_max_lower]
+    highs = [certificate.bound, *bounds, certificate.energy_bound, certificate.ell_max_bound]
     limits = [""] * len(names) if asked is None else list(map(decimal, asked))
     by_size = sorted(range(len(names)), key=bounds.__getitem__, reverse=True)
     order = [0, len(rows) - 2, len(rows) - 1, *(k + 1 for k in by_size)]
@@ -63,20 +61,16 @@ def _certificate(certificate: Certificate) -> Facts:
         head="error of",
         choose=lambda count: sorted(order[:count]),
     )
-    return Facts(
-        "Certificate",
+    return proven(
+        certificate,
         headline,
-        success=True,
-        verdict="proven",
+        table,
+        *silent(certificate, _BOUNDS),
+        Fact("component_bounds", value=by_name(names, bounds)),
+        Fact("component_lowers", value=by_name(names, certificate.component_lowers)),
+        Fact("asked", value=None if asked is None else by_name(names, asked)),
+        *_proof(certificate),
         given=(span_fact(certificate.span),),
-        entries=(
-            table,
-            *silent(certificate, _BOUNDS),
-            Fact("component_bounds", value=by_name(names, bounds)),
-            Fact("component_lowers", value=by_name(names, certificate.component_lowers)),
-            Fact("asked", value=None if asked is None else by_name(names, asked)),
-            *_proof(certificate),
-        ),
         drawn=len(certificate.edges),
     )
 
@@ -93,25 +87,17 @@ def _proof(certificate: Any) -> tuple[Fact, ...]:
 
 def _box_certificate(certificate: BoxCertificate) -> Facts:
     ends = [f"{name} from {low!r} to {high!r}" for name, (low, high) in certificate.box.items()]
-    return Facts(
-        "BoxCertificate",
+    bounds = Column("at most", certificate.bound, decimal_above, "component_bounds")
+    return proven(
+        certificate,
         f"{certificate.bounds} over the whole box",
-        success=True,
-        verdict="proven",
+        Table("components", certificate.components, (bounds,), "error of"),
+        Fact("parts", "parts of the box", certificate.parts, f"{certificate.parts:,}"),
+        *_proof(certificate),
         given=(
             Fact("H", "H =", certificate.formula, certificate.formula),
             Fact("box", "box", dict(certificate.box), ", ".join(ends)),
             span_fact(certificate.span),
-        ),
-        entries=(
-            Table(
-                "components",
-                certificate.components,
-                (Column("at most", certificate.bound, decimal_above, "component_bounds"),),
-                head="error of",
-            ),
-            Fact("parts", "parts of the box", certificate.parts, f"{certificate.parts:,}"),
-            *_proof(certificate),
         ),
         drawn=len(certificate.bound),
     )
@@ -119,28 +105,19 @@ def _box_certificate(certificate: BoxCertificate) -> Facts:
 
 def _orbit_certificate(certificate: OrbitCertificate) -> Facts:
     period, z0 = certificate.period, certificate.z0
-    balls = list(zip(np.ravel(z0.mid), np.ravel(z0.radius), strict=True))
+    start = Column("start", list(map(ball_text, np.ravel(z0.mid), np.ravel(z0.radius))))
     away = f"at most {decimal_above(certificate.bound)} of its size"
-    return Facts(
-        "OrbitCertificate",
+    unique = certificate.unique_within
+    return proven(
+        certificate,
         f"a periodic orbit exists, with the period {ball_text(period.mid, period.radius)}",
-        success=True,
-        verdict="proven",
-        entries=(
-            Table(
-                "components",
-                list(certificate.components),
-                (Column("start", balls, lambda ball: ball_text(*ball)),),
-                head="component",
-            ),
-            Fact("stability", "stability:", certificate.stability, certificate.stability),
-            Fact("bound", "distance from the numerical orbit", certificate.bound, away),
-            Fact("unique_within", "unique within", certificate.unique_within,
-                 decimal_below(certificate.unique_within)),
-            Fact("pieces", "pieces", certificate.pieces, f"{certificate.pieces:,}"),
-            *_proof(certificate),
-        ),
-    )  # fmt: skip
+        Table("components", list(certificate.components), (start,), "component"),
+        Fact("stability", "stability:", certificate.stability, certificate.stability),
+        Fact("bound", "distance from the numerical orbit", certificate.bound, away),
+        Fact("unique_within", "unique within", unique, decimal_below(unique)),
+        Fact("pieces", "pieces", certificate.pieces, f"{certificate.pieces:,}"),
+        *_proof(certificate),
+    )
 
 
 def _enclosure(enclosure: Enclosure) -> Facts:
@@ -149,37 +126,29 @@ def _enclosure(enclosure: Enclosure) -> Facts:
     width = last.width
     widest = int(np.argmax(last.radius))
     columns = [
-        Column(label, list(zip(ball.mid, ball.radius, strict=True)), lambda own: ball_text(*own))
+        Column(label, list(map(ball_text, ball.mid, ball.radius)))
         for label, ball in (("start", first), ("end", last))
     ]
     balls = {name: ball_text(own.mid, own.radius) for name, own in enclosure.parameters.items()}
     count = len(enclosure.windows)
     parts = max(getattr(window, "parts", 0) for window in enclosure.windows)
     of_set = (Fact("parts", value=parts),) if parts else ()
-    return Facts(
-        "Enclosure",
+    cost = f"{seconds_text(enclosure.seconds)} on {count:,} windows"
+    return proven(
+        enclosure,
         f"the true state at every time of the span, to {error_text(width)} at the end, the widest "
         f"in {names[widest]}",
-        success=True,
-        verdict="proven",
+        Table("components", names, (units_of(H), *columns)),
+        Fact("width", value=width),
+        Fact("windows", value=count),
+        *of_set,
+        Fact("seconds", "proven in", enclosure.seconds, cost),
         formulas=formulas_of(H),
         given=(
             *given_of(enclosure, tuple(enclosure.parameters)),
             *(Fact("", name, None, text) for name, text in balls.items()),
         ),
-        entries=(
-            Table(
-                "components",
-                names,
-                (units_of(H), *columns),
-            ),
-            Fact("width", value=width),
-            Fact("windows", value=count),
-            *of_set,
-            Fact("seconds", "proven in", enclosure.seconds,
-                 f"{seconds_text(enclosure.seconds)} on {count:,} windows"),
-        ),
-    )  # fmt: skip
+    )
 
 
 def ball_text(mid: Any, radius: Any) -> str:
@@ -206,17 +175,11 @@ def _proofs(proofs: Proofs) -> Facts:
     most = decimal_above(proofs.bounds[proofs.proven].max(initial=0.0))
     errors = f", errors at most {most}" if count else ""
     reasons = [" ".join(str(proofs.message[tuple(place)]).split()) for place in failed]
-    return Facts(
-        "Proofs",
+    places = [", ".join(map(str, place)) for place in failed]
+    return proven(
+        proofs,
         f"{count:,} of {size:,} members{errors}",
+        Table("members", places, (Column("reason", reasons, left=True),), "member"),
         success=count == size,
         verdict="all proven" if count == size else "not all proven",
-        entries=(
-            Table(
-                "members",
-                [", ".join(map(str, place)) for place in failed],
-                (Column("reason", reasons, left=True),),
-                head="member",
-            ),
-        ),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,15 +44,11 @@ def _comparison(comparison: Comparison) -> Facts:
         | {"component_errors": by_name(H.names, row.component_errors)}
         for row in comparison.rows
     ]
-    return Facts(
-        "Comparison",
-        headline,
-        solution.message,
-        bool(solution.success),
-        own.verdict,
-        own.formulas,
-        own.given,
-        (
+    return replace(
+        own,
+        kind="Comparison",
+        headline=headline,
+        entries=(
             _rows(comparison.rows),
             _matches(comparison),
             Fact("solution", value=own.values()),
@@ -60,25 +57,20 @@ def _comparison(comparison: Comparison) -> Facts:
             Fact("reference", value=comparison.reference.text),
             Fact("reference_error", value=comparison.reference_error),
         ),
-        sum(trajectory.z.size for trajectory in comparison.trajectories),
+        drawn=sum(trajectory.z.size for trajectory in comparison.trajectories),
     )
 
 
 def _rows(rows: Sequence[Row]) -> Table:
     points = [f"{r.points:,}" if r.tolerance is None else f"rtol {r.tolerance:.0e}" for r in rows]
-    return Table(
-        "rows",
-        [row.label for row in rows],
-        (
-            Column("points", points),
-            Column("evaluations", [row.evaluations for row in rows], ","),
-            Column("max |dz|", [row.error for row in rows], _ERROR),
-            Column("max |dE|", [row.energy_error for row in rows], _ERROR),
-            Column("time s", [row.seconds for row in rows], ".2g"),
-        ),
-        "method",
-        whole=True,
+    columns = (
+        Column("points", points),
+        Column("evaluations", [row.evaluations for row in rows], ","),
+        Column("max |dz|", [row.error for row in rows], _ERROR),
+        Column("max |dE|", [row.energy_error for row in rows], _ERROR),
+        Column("time s", [row.seconds for row in rows], ".2g"),
     )
+    return Table("rows", [row.label for row in rows], columns, "method", whole=True)
 
 
 def _matches(comparison: Comparison) -> Table:
@@ -88,19 +80,15 @@ def _matches(comparison: Comparison) -> Table:
     def known(name: str, form: str) -> list[str]:
         return ["" if match.reason else format(getattr(match, name), form) for match in found]
 
-    return Table(
-        "integrators",
-        list(comparison.matches),
-        (
-            Column("evaluations", known("evaluations", ",")),
-            Column("max |dz|", known("error", _ERROR)),
-            Column("time s", known("seconds", ".2g")),
-            Column("needs", [f"{match}" for match in found], left=True),
-        ),
-        "method",
-        f"for the network's error, {comparison.rows[0].error:.2e}:",
-        whole=True,
+    columns = (
+        Column("evaluations", known("evaluations", ",")),
+        Column("max |dz|", known("error", _ERROR)),
+        Column("time s", known("seconds", ".2g")),
+        Column("needs", [f"{match}" for match in found], left=True),
     )
+    title = f"for the network's error, {comparison.rows[0].error:.2e}:"
+    names = list(comparison.matches)
+    return Table("integrators", names, columns, "method", title, whole=True)
 
 
 def _sweep(sweep: Sweep) -> Facts:
@@ -122,14 +110,10 @@ def _sweep(sweep: Sweep) -> Facts:
 def _settings(sweep: Sweep) -> Table:
     runs = list(sweep.solutions.values())
     converged = [f"{sum(bool(each.success) for each in own)} of {len(own)}" for own in runs]
-    return Table(
-        "settings",
-        list(sweep.solutions),
-        (
-            Column("converged", converged),
-            Column("error / size", [max(s.relative_error for s in own) for own in runs],
-                   error_text, "relative_error"),
-            Column("time s", [sum(s.seconds for s in own) for own in runs], ".2g", "seconds"),
-        ),
-        "settings",
-    )  # fmt: skip
+    errors = [max(s.relative_error for s in own) for own in runs]
+    columns = (
+        Column("converged", converged),
+        Column("error / size", errors, error_text, "relative_error"),
+        Column("time s", [sum(s.seconds for s in own) for own in runs], ".2g", "seconds"),
+    )
+    return Table("settings", list(sweep.solutions), columns, "settings")

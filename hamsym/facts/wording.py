@@ -51,6 +51,11 @@ def seconds_text(value: float) -> str:
     return f"{value:.2g} s" if value < 100 else f"{value:,.0f} s"
 
 
+def evenly(total: int, most: int) -> np.ndarray:
+    """Return at most so many numbers from 0 on, evenly chosen, with the first and the last."""
+    return np.unique(np.linspace(0, total - 1, min(total, most)).round().astype(int))
+
+
 def by_name(names: Sequence[str], values: Any) -> dict[str, Any]:
     """Return the components of a state by their names."""
     return dict(zip(names, values, strict=True))
@@ -165,6 +170,12 @@ def facts_of(
         "formulas": formulas_of(result.H),
         "given": (*given_of(result, varied), *given),
     }
+    return Facts(headline=headline, entries=entries, **known | others)
+
+
+def proven(proof: Any, headline: str, *entries: Entry, **others: Any) -> Facts:
+    """Describe a proof; ``others`` are further fields of the facts, or others for these."""
+    known: dict[str, Any] = {"kind": type(proof).__name__, "success": True, "verdict": "proven"}
     return Facts(headline=headline, entries=entries, **known | others)
 
 

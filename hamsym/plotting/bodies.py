@@ -65,18 +65,14 @@ def draw_bodies(axes: Any, motion: Motion, letters: str, *, levels: bool = True)
         for k in range(len(letters))
     ]
     labels = ["(" + ", ".join(math_name(name) for name in body) + ")" for body in shown]
-    words = []
-    for name in bodies[0]:
-        match = CARTESIAN.match(name)
-        words.append((math_name(match[1] if match else name), quantity(H, name)[1]))
-    styles = [line_style(k) for k in range(len(shown))]
+    words = [(math_name(name[0]), quantity(H, name)[1]) for name in bodies[0]]
+    paths = zip(labels, zip(*columns, strict=True), strict=True)
+    lines = [({**line_style(k), "label": text}, path) for k, (text, path) in enumerate(paths)]
     notes: list[Any] = []
     if len(letters) == 3:
-        notes += paths_in_space(axes, columns, styles, labels, words, True)
+        notes += paths_in_space(axes, lines, words, True)
     else:
-        for k, (style, text) in enumerate(zip(styles, labels, strict=True)):
-            own = columns[0][k : k + 1], columns[1][k : k + 1]
-            paths_in_plane(axes, motion, own, [text], **style)
+        paths_in_plane(axes, motion, lines)
         label(axes.xaxis, *words[0])
         label(axes.yaxis, *words[1])
         notes += equal_aspect(axes, *columns)

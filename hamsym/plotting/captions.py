@@ -14,11 +14,13 @@ from hamsym.formula.notation import Notation
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.plotting.figure import CAPTION_SIZE
 from hamsym.plotting.names import (
+    amount,
+    enumerated,
     escaped,
     latex_of,
     math_name,
     math_unit,
-    number,
+    sentence_words,
     shortened,
     words_of,
 )
@@ -110,19 +112,13 @@ def _drawable(text: str, width_cm: float = 0.8 * COLUMN) -> bool:
     return bool(width / 72 < width_cm / 2.54)
 
 
-def parameter_words(values: Mapping[str, float], H: Hamiltonian | None = None) -> list[str]:
+def parameter_words(H: Hamiltonian, values: Mapping[str, float]) -> list[str]:
     """Return parameters with values and units for a caption; of many the first and a count."""
-    words = []
-    for name in list(values)[:_MAX_PARAMETERS]:
-        unit = math_unit(H.units.get(name, "1")) if H is not None else ""
-        value = number(values[name]) + (f" {unit}" if unit else "")
-        words.append(f"{math_name(name)} = {value},")
-    if len(values) > _MAX_PARAMETERS:
-        more = len(values) - _MAX_PARAMETERS
-        words += ["and", f"{more:,}", "more", f"parameter{'s' if more > 1 else ''},"]
-    if words:
-        words[-1] = words[-1].removesuffix(",")
-    return words
+    shown = list(values)[:_MAX_PARAMETERS]
+    parts = [[f"{math_name(name)} = {amount(H, name, values[name])}"] for name in shown]
+    if more := len(values) - len(shown):
+        parts.append(["and", f"{more:,}", "more", f"parameter{'s' if more > 1 else ''}"])
+    return enumerated(parts)
 
 
 def caption_words(
@@ -134,10 +130,4 @@ def caption_words(
     - parameters: Values to show instead of those of H.
     """
     values = dict(H.parameters) if parameters is None else parameters
-    parts: list[Sequence[str]] = [formula_words(H), parameter_words(values, H)]
-    parts += [words_of(given) if isinstance(given, str) else given for given in sentences]
-    words: list[str] = []
-    for part in parts:
-        if part:
-            words += [*part[:-1], part[-1] if part[-1].endswith(".") else part[-1] + "."]
-    return words
+    return sentence_words([formula_words(H), parameter_words(H, values), *sentences])

@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 
 from hamsym.plotting.captions import caption_words
 from hamsym.plotting.figure import figure_of, label, legend_above, one_panel
-from hamsym.plotting.names import math_name, number, quantity, words_of
+from hamsym.plotting.names import math_name, number, quantity, some_of, words_of
 from hamsym.plotting.panels import Panel, draw_panels
-from hamsym.plotting.style import color_of, positive, style_for
+from hamsym.plotting.style import color_of, positive
 from hamsym.plotting.time_axes import (
     component_curves,
     fill_time,
@@ -55,11 +55,8 @@ def draw_enclosure(found: Enclosure, *names: Any, ax: Any = None) -> Any:
     for name, ball in found.parameters.items():
         middle, radius = number(float(ball.mid), 8), number(float(ball.radius), 2)
         sentences.append([math_name(name), f"= {middle}", "±", radius])
-    if not names and H.dim > _MOST_PANELS:
-        sentences.append(
-            f"{_MOST_PANELS} of {H.dim} components are drawn; plot('{H.names[H.dof - 1]}') draws "
-            "others"
-        )
+    if not names:
+        sentences += some_of(len(shown) - 1, H.dim, "components", H.names[H.dof - 1])
     extent = np.ptp(states.mid, axis=0)
     if (2 * states.radius.max(axis=0) < _VISIBLE * extent).all():
         sentences.append("Bands are narrower than lines; their widths are drawn too")
@@ -185,7 +182,7 @@ def draw_box_certificate(found: BoxCertificate, *, ax: Any = None) -> Any:
     words += [f"{found.parts:,}", "parts", "of", "the", "box.", *words_of(f"H = {found.formula}.")]
     words += words_of(f"SHA-256 {found.digest[:16]}…")
     upper = np.array(found.bound)
-    with one_panel(ax, words, height=6.0) as axes, style_for(ax):
+    with one_panel(ax, words, height=6.0) as axes:
         names = [math_name(name) for name in found.components]
         _draw_intervals(axes, names, np.zeros_like(upper), upper)
         axes.set_title("Proven bound on the error of each component")

@@ -1,22 +1,23 @@
-"""Figures of Lyapunov exponents and chaos indicators."""
+"""Figures of Lyapunov exponents, chaos indicators and frequencies."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import Normalize
+from matplotlib.colors import LogNorm, Normalize
 
 from hamsym.dynamics.chaos_indicators import ChaosIndicators
+from hamsym.dynamics.frequencies import Frequencies
 from hamsym.dynamics.lyapunov import LyapunovExponents
 from hamsym.dynamics.lyapunov_map import LyapunovMap
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.plotting.captions import axis_words, caption_words
 from hamsym.plotting.figure import color_bar, figure_of, label, legend, one_panel
-from hamsym.plotting.motions import parameters_of
+from hamsym.plotting.motions import own_parameters, parameters_of
 from hamsym.plotting.names import (
     math_unit,
     number,
@@ -29,10 +30,10 @@ from hamsym.plotting.style import (
     COLUMN,
     GREY,
     MAX_LINES,
+    SEQUENTIAL,
     color_of,
     line_styles,
     positive,
-    style_for,
 )
 
 _FEWEST = 1e-3  # part of the time from which on log(t)/t is drawn
@@ -231,19 +232,20 @@ def draw_lyapunov_map(found: LyapunovMap, *names: Any, ax: Any = None) -> Any:
     columns = dict(zip(found.names, np.moveaxis(found.z0, -1, 0), strict=True)) | found.parameters
     if len(names) > 2:
         raise InputError("exponents are drawn over one quantity, or in a plane of two; give those")
-    H = found.H
-    every: dict[str, Any] = {**H.parameters, **found.parameters}
-    shaped = [np.broadcast_to(every[name], found.maximal.shape) for name in H.parameter_names]
-    own = np.stack(shaped, axis=-1) if shaped else None
-    chosen = [
-        (axis_words(each), np.ravel(each.values(found.z0, found.span[0], own)))
-        for each in map(H.observable, names)
-    ]
-    if not chosen and not 1 <= found.maximal.ndim <= 2:
+    H, shape = found.H, found.maximal.shape
+    if not names and not 1 <= len(shape) <= 2:
         raise InputError(
-            f"exponents of shape {found.maximal.shape} are neither a row nor a plane; name one or "
-            f"two of {', '.join(columns)}"
+            f"exponents of shape {shape} are neither a row nor a plane; name one or two of "
+            f"{', '.join(columns)}"
         )
+    if names:
+        own = own_parameters(H, found.parameters, shape)
+        chosen = [
+            (axis_words(each), np.ravel(each.values(found.z0, found.span[0], own)))
+            for each in map(H.observable, names)
+        ]
+    else:
+        chosen = [_grid_line(H, columns, along, shape) for along in reversed(range(len(shape)))]
     failed = int((~found.success).sum())
     sentences: list[Any] = [f"Exponents up to t = {found.span[1]:.6g} by {found.method}"]
     if failed:
@@ -255,29 +257,17 @@ def draw_lyapunov_map(found: LyapunovMap, *names: Any, ax: Any = None) -> Any:
     parameters = parameters_of(found.H, flat)[0]
     warning = "Interrupted: starts that were not finished are grey." if found.interrupted else ""
     caption = caption_words(found.H, *sentences, parameters=parameters)
-    with one_panel(ax, caption, warning, width=COLUMN + 2, height=8.0) as axes, style_for(ax):
+    with one_panel(ax, caption, warning, width=COLUMN + 2, height=8.0) as axes:
         axes.set_title(f"Largest exponent of {found.maximal.size:,} starts")
-        if len(chosen) == 2:
-            _scatter(axes, found, *chosen)
-        elif chosen or found.maximal.ndim == 1:
-            _draw_row(axes, found, columns, chosen)
+        if len(chosen) == 1:
+            _draw_row(axes, found, *chosen)
         else:
-            _draw_plane(axes, found, columns)
+            _draw_plane(axes, found, *chosen, is_grid=not names)
         return figure_of(axes)
 
 
-def _named(found: LyapunovMap, name: str) -> tuple[str, str]:
-    return quantity(found.H, name) if name != "number" else (name, "")
-
-
-def _draw_row(
-    axes: Axes, found: LyapunovMap, columns: Mapping[str, np.ndarray], chosen: Sequence[_Axis]
-) -> None:
-    if chosen:
-        words, x = chosen[0]
-    else:
-        name, x = _grid_line(columns, 0, found.maximal.shape)
-        words = _named(found, name)
+def _draw_row(axes: Axes, found: LyapunovMap, along: _Axis) -> None:
+    words, x = along
     values = np.ravel(found.maximal)
     axes.plot(x, values, "o", color=color_of(0), markersize=2.5)
     label(axes.xaxis, *words)
@@ -286,37 +276,29 @@ def _draw_row(
         axes.axvline(place, color="0.85", linewidth=2.5, zorder=0)
 
 
-def _draw_plane(axes: Axes, found: LyapunovMap, columns: Mapping[str, np.ndarray]) -> None:
-    y_name, y = _grid_line(columns, 0, found.maximal.shape)
-    x_name, x = _grid_line(columns, 1, found.maximal.shape)
-    image = axes.pcolormesh(x, y, found.maximal, shading="nearest", rasterized=True)
-    axes.grid(visible=False)
-    axes.set_facecolor("0.85")
-    _finish_plane(axes, found, image, _named(found, x_name), _named(found, y_name))
-
-
-def _scatter(axes: Axes, found: LyapunovMap, across: _Axis, up: _Axis) -> None:
-    x, y = across[1], up[1]
-    values = np.ravel(found.maximal)
-    there = np.isfinite(values)
-    axes.plot(x[~there], y[~there], ".", color="0.8", markersize=3)
-    image = axes.scatter(x[there], y[there], c=values[there], s=8, rasterized=len(x) > 5_000)
-    _finish_plane(axes, found, image, across[0], up[0])
-
-
-def _finish_plane(
-    axes: Axes, found: LyapunovMap, image: Any, x: tuple[str, str], y: tuple[str, str]
-) -> None:
-    label(axes.xaxis, *x)
-    label(axes.yaxis, *y)
+def _draw_plane(axes: Axes, found: LyapunovMap, across: _Axis, up: _Axis, *, is_grid: bool) -> None:
+    image: Any
+    (x_words, x), (y_words, y) = across, up
+    if is_grid:
+        image = axes.pcolormesh(x, y, found.maximal, shading="nearest", rasterized=True)
+        axes.grid(visible=False)
+        axes.set_facecolor("0.85")
+    else:
+        values = np.ravel(found.maximal)
+        there = np.isfinite(values)
+        axes.plot(x[~there], y[~there], ".", color="0.8", markersize=3)
+        dense = len(x) > 5_000
+        image = axes.scatter(x[there], y[there], c=values[there], s=8, rasterized=dense)
+    label(axes.xaxis, *x_words)
+    label(axes.yaxis, *y_words)
     bar = figure_of(axes).colorbar(image, ax=axes, pad=0.02)
     label(bar.ax.yaxis, r"largest exponent $\lambda$", _rate_unit(found.H))
 
 
 def _grid_line(
-    columns: Mapping[str, np.ndarray], along: int, shape: tuple[int, ...]
-) -> tuple[str, np.ndarray]:
-    """Return the name and values of the column that varies along one axis of a grid alone.
+    H: Hamiltonian, columns: Mapping[str, np.ndarray], along: int, shape: tuple[int, ...]
+) -> _Axis:
+    """Return the column that varies along one axis of a grid alone, else numbers.
 
     Values of starts that are nan are interpolated from their neighbours.
     """
@@ -331,5 +313,53 @@ def _grid_line(
             line = np.interp(number, number[there], low)
             slope = (low[-1] - low[0]) / (number[there][-1] - number[there][0])
             before, after = np.minimum(number - number[there][0], 0), number - number[there][-1]
-            return name, line + slope * (before + np.maximum(after, 0))
-    return "number", number
+            return quantity(H, name), line + slope * (before + np.maximum(after, 0))
+    return ("number", ""), number
+
+
+# -- frequencies -----------------------------------------------------------------------------------
+
+
+def draw_frequencies(found: Frequencies, *, ax: Any = None) -> Any:
+    """Draw amplitudes over frequencies, or a frequency map; see :class:`hamsym.Frequencies`."""
+    if not np.isfinite(found.frequency).any():
+        raise InputError("no frequency was found; there is nothing to draw")
+    caption = caption_words(found.H, f"Signals {', '.join(found.signals)}")
+    with one_panel(ax, caption, height=8.0) as axes:
+        if found.frequency.ndim == 2:
+            _draw_lines(axes, found)
+        else:
+            _draw_map(axes, found)
+        return figure_of(axes)
+
+
+def _draw_lines(axes: Axes, found: Frequencies) -> None:
+    for k, signal in enumerate(found.signals):
+        good = np.isfinite(found.frequency[k]) & (found.amplitude[k] > 0)
+        place, size = found.frequency[k][good], found.amplitude[k][good]
+        low = size.min(initial=np.inf) / 10
+        axes.vlines(place, low, size, color=color_of(k), linewidth=1.2)
+        axes.plot(place, size, "o", color=color_of(k), markersize=4, label=signal)
+    axes.set_yscale("log")
+    axes.set_title("Frequencies")
+    label(axes.xaxis, r"angular frequency $\omega$")
+    label(axes.yaxis, "amplitude")
+    legend(axes)
+
+
+def _draw_map(axes: Axes, found: Frequencies) -> None:
+    """The first frequencies of two signals, or of one over the number of the trajectory."""
+    first = np.abs(found.frequency[..., 0]).reshape(-1, len(found.signals))
+    drift = np.abs(found.drift[..., 0]).reshape(-1, len(found.signals)).max(axis=1)
+    several = len(found.signals) > 1
+    x = first[:, 0] if several else np.arange(len(first))
+    y = first[:, 1] if several else first[:, 0]
+    floor = max(float(np.nanmin(drift)), 1e-16)
+    colors = np.maximum(drift, floor)
+    top = max(float(np.nanmax(colors)), 10 * floor)
+    points = axes.scatter(x, y, c=colors, s=9, cmap=SEQUENTIAL, norm=LogNorm(floor, top))
+    bar = axes.figure.colorbar(points, ax=axes)
+    label(bar.ax.yaxis, "drift")
+    axes.set_title(f"Frequency map, drift at most {number(top, 2)}")
+    label(axes.xaxis, f"frequency of {found.signals[0]}" if several else "trajectory")
+    label(axes.yaxis, f"frequency of {found.signals[1 if several else 0]}")

@@ -16,8 +16,7 @@ from hamsym.plotting.figure import Figure, figure_of, label, one_panel
 from hamsym.plotting.motions import drawn_of, same_scale
 from hamsym.plotting.names import energy_unit, math_name, number, quantity, words_of
 from hamsym.plotting.phase_portraits import draw_contours, draw_levels
-from hamsym.plotting.spectra import draw_exponents_plane
-from hamsym.plotting.style import COLUMN, MARKERS, MAX_LINES, color_of, style_for
+from hamsym.plotting.style import COLUMN, GREY, MAX_LINES, color_of, marker_style
 
 _GRID, _LEVELS = 161, 16
 _QUADRATIC = 1e-6  # of the rates, which vanish at zero velocity
@@ -53,10 +52,8 @@ def draw_equilibria(found: Equilibria, *names: Any, ax: Any = None) -> Any:
         sentences.append("Open markers: one point of a continuum")
     if found.undecided:
         sentences.append("Hatched: parts that could not be decided")
-    with (
-        one_panel(ax, caption_words(H, *sentences), width=COLUMN + 2.5, height=8.0) as axes,
-        style_for(ax),
-    ):
+    caption = caption_words(H, *sentences)
+    with one_panel(ax, caption, width=COLUMN + 2.5, height=8.0) as axes:
         i, j = H.names.index(x), H.names.index(y)
         _draw_places(axes, found, there, i, j)
         _draw_undecided(axes, found, i, j)
@@ -64,7 +61,7 @@ def draw_equilibria(found: Equilibria, *names: Any, ax: Any = None) -> Any:
         _set_limits(axes, found, there, i, j, equal, _sizes_of(found, there, i, j))
         if equal:
             axes.set_aspect("equal")
-        sentences += _draw_behind(axes, H, x, y)
+        notes = _draw_behind(axes, H, x, y)
         label(axes.xaxis, *quantity(H, x))
         label(axes.yaxis, *quantity(H, y))
         count = f"{len(found):,} equilibri{'um' if len(found) == 1 else 'a'}"
@@ -72,7 +69,7 @@ def draw_equilibria(found: Equilibria, *names: Any, ax: Any = None) -> Any:
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
         figure = figure_of(axes)
         if ax is None:
-            figure.set_caption(caption_words(H, *sentences))
+            figure.add_to_caption(notes)
         return figure
 
 
@@ -81,11 +78,7 @@ def _draw_places(axes: Axes, found: Equilibria, there: list[int], i: int, j: int
     places = np.array([[found[k].z[i], found[k].z[j]] for k in there]).reshape(-1, 2)
     near = _NEAR * np.abs(np.diff([axes.get_xlim(), axes.get_ylim()])[:, 0])
     for number_of, kind in enumerate(kinds):
-        style: dict[str, Any] = {
-            "color": color_of(number_of),
-            "marker": MARKERS[(number_of + number_of // len(MARKERS)) % len(MARKERS)],
-        }
-        named = False
+        style, named = marker_style(number_of), False
         for filled in (True, False):
             own = [k for k in there if found[k].type == kind and (not found[k].family) == filled]
             if not own:
@@ -93,7 +86,6 @@ def _draw_places(axes: Axes, found: Equilibria, there: list[int], i: int, j: int
             axes.plot(
                 [found[k].z[i] for k in own],
                 [found[k].z[j] for k in own],
-                linestyle="none",
                 markersize=5,
                 markerfacecolor=style["color"] if filled else "none",
                 label=None if named else kind,
@@ -117,19 +109,10 @@ def _draw_places(axes: Axes, found: Equilibria, there: list[int], i: int, j: int
 
 
 def _draw_undecided(axes: Axes, found: Equilibria, i: int, j: int) -> None:
+    style: dict[str, Any] = {"hatch": "////", "edgecolor": "0.5", "linewidth": 0.5}
     for region in found.undecided:
-        low, high = region.low, region.high
-        axes.add_patch(
-            Rectangle(
-                (low[i], low[j]),
-                high[i] - low[i],
-                high[j] - low[j],
-                fill=False,
-                hatch="////",
-                edgecolor="0.5",
-                linewidth=0.5,
-            )
-        )
+        low, (width, height) = region.low, np.subtract(region.high, region.low)[[i, j]]
+        axes.add_patch(Rectangle((low[i], low[j]), width, height, fill=False, **style))
 
 
 def _sizes_of(found: Equilibria, there: list[int], i: int, j: int) -> tuple[float, float] | None:
@@ -274,6 +257,35 @@ def draw_equilibrium(found: Equilibrium, *, ax: Any = None) -> Any:
         caption += words_of(f"In brackets, signs {signs}.")
     caption += words_of(f"{found.spectrum[:1].upper()}{found.spectrum[1:]}.")
     figure_words = caption + words_of(f"{found.evidence.partition(':')[0].capitalize()}.")
-    with one_panel(ax, figure_words, height=7.5) as axes, style_for(ax):
-        draw_exponents_plane(axes, found.eigenvalues, marks, f"Eigenvalues: {found.type}")
+    with one_panel(ax, figure_words, height=7.5) as axes:
+        _draw_exponents(axes, found.eigenvalues, marks, f"Eigenvalues: {found.type}")
         return figure_of(axes)
+
+
+def _draw_exponents(
+    axes: Axes, values: np.ndarray, marks: list[tuple[complex, str]], title: str
+) -> None:
+    """Draw eigenvalues of a linearised motion, with the axes that separate its kinds.
+
+    - marks: Texts beside eigenvalues.
+    """
+    values = np.asarray(values, dtype=complex)
+    axes.axhline(0, color=GREY, linewidth=0.7)
+    axes.axvline(0, color=GREY, linewidth=0.7)
+    growing = values.real > 0
+    for k, own in enumerate((values[~growing], values[growing])):
+        axes.plot(own.real, own.imag, "x", color=color_of(k), markersize=7)
+    size = float(np.abs(values).max(initial=0.0)) or 1.0
+    axes.set(xlim=(-1.25 * size, 1.25 * size), ylim=(-1.25 * size, 1.25 * size))
+    axes.set_aspect("equal")
+    texts = [
+        axes.annotate(
+            text, (place.real, place.imag), (6, 0), textcoords="offset points", va="center"
+        )
+        for place, text in marks
+    ]
+    if isinstance(figure := figure_of(axes), Figure):
+        figure.thin_out(texts)
+    axes.set_title(title)
+    label(axes.xaxis, r"Re $\lambda$")
+    label(axes.yaxis, r"Im $\lambda$")

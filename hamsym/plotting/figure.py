@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import functools
 import io
 import re
 from collections.abc import Iterator, Sequence
@@ -23,7 +24,7 @@ from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from hamsym.errors import InputError
-from hamsym.plotting.names import number, shortened, with_unit, words_of
+from hamsym.plotting.names import number, sentence_words, shortened, with_unit, words_of
 from hamsym.plotting.style import COLUMN, DISPLAY_DPI, STYLE, WARNING, shades, styled
 
 _CM = 1 / 2.54
@@ -60,8 +61,15 @@ class Figure(matplotlib.figure.Figure):
 
     def set_caption(self, caption: Sequence[str] = (), warning: str = "") -> None:
         """Replace caption and warning; the figure grows or shrinks by their height."""
+        self._replace(caption, words_of(warning))
+
+    def add_to_caption(self, sentences: Sequence[str | Sequence[str]]) -> None:
+        """Add sentences, plain text or words, to the caption."""
+        self._replace([*self._words, *sentence_words(sentences)], self._warning)
+
+    def _replace(self, words: Sequence[str], warning: Sequence[str]) -> None:
         before = sum(self._captions_height())
-        self._words, self._warning = tuple(caption), tuple(words_of(warning))
+        self._words, self._warning = tuple(words), tuple(warning)
         width, height = self.get_size_inches()
         self.set_size_inches(width, height - before + sum(self._captions_height()))
 
@@ -236,11 +244,8 @@ def legend(axes: Axes, **options: Any) -> None:
 
 def legend_above(axes: Axes) -> None:
     """Add a legend of few short entries above axes, beside their title."""
-    handles, labels = axes.get_legend_handles_labels()
-    if labels:
+    if labels := axes.get_legend_handles_labels()[1]:
         axes.legend(
-            handles,
-            labels,
             loc="lower right",
             bbox_to_anchor=(1.0, 1.0),
             borderaxespad=0.1,
@@ -358,18 +363,11 @@ def _fitting(words: Sequence[str], width: float, font: FontProperties) -> int:
     return fits
 
 
-_sizes: dict[tuple[str, float], tuple[float, float]] = {}
-
-
+@functools.lru_cache(maxsize=20_000)
 def _size(text: str, font: FontProperties) -> tuple[float, float]:
     """Width and height of a line in inches; its height is at least that of plain text."""
-    key = text, font.get_size_in_points()
-    if key not in _sizes:
-        if len(_sizes) > 20_000:
-            _sizes.clear()
-        with styled():
-            own = Text(0, 0, text, fontproperties=font)
-            own.set_figure(matplotlib.figure.Figure(dpi=288))
-            box = own.get_window_extent(RendererAgg(1, 1, 288))
-        _sizes[key] = 1.02 * box.width / 288, max(box.height / 288, 1.1 * key[1] / 72)
-    return _sizes[key]
+    with styled():
+        own = Text(0, 0, text, fontproperties=font)
+        own.set_figure(matplotlib.figure.Figure(dpi=288))
+        box = own.get_window_extent(RendererAgg(1, 1, 288))
+    return 1.02 * box.width / 288, max(box.height / 288, 1.1 * font.get_size_in_points() / 72)

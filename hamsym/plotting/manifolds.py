@@ -19,8 +19,8 @@ from hamsym.orbits.orbit import PeriodicOrbit
 from hamsym.plotting.bodies import bodies_of
 from hamsym.plotting.captions import axis_words, caption_words
 from hamsym.plotting.figure import figure_of, label, legend_above, one_panel
-from hamsym.plotting.motions import drawn_of, equal_aspect, paths_in_space, same_scale
-from hamsym.plotting.style import COLORS, style_for
+from hamsym.plotting.motions import Line, drawn_of, equal_aspect, paths_in_space, same_scale
+from hamsym.plotting.style import COLORS
 from hamsym.problems.surface import parse_surface
 
 _COLOR = {"unstable": COLORS[1], "stable": COLORS[0]}
@@ -29,9 +29,6 @@ _NEAR = 17  # points of the local manifold
 _POINTS = 401  # of an orbit, and of a connection
 _ESCAPE, _USUAL = 20.0, (0.03, 0.97)  # ratio of the extent to that of most points, if some escape
 _MANY = 24  # trajectories, of which lines are thin
-
-#: Color, label, style and columns of a line.
-_Line = tuple[dict[str, Any], list[np.ndarray]]
 
 
 def draw_manifold(found: Manifold, *names: Any, ax: Any = None) -> Any:
@@ -75,8 +72,11 @@ def _drawn(
     sentences += [f"Both parts meet on {one.surface} to {one.mismatch:.1e}" for one in connecting]
     caption = caption_words(H, *sentences)
     projection = "3d" if len(drawn) == 3 else None
-    with one_panel(ax, caption, warning, height=7.5, projection=projection) as axes, style_for(ax):
-        notes = _in_space(axes, lines, drawn) if projection else _in_plane(axes, H, lines, drawn)
+    with one_panel(ax, caption, warning, height=7.5, projection=projection) as axes:
+        if projection:
+            notes = paths_in_space(axes, lines, [axis_words(each) for each in drawn], False)
+        else:
+            notes = _in_plane(axes, H, lines, drawn)
         if ax is None:
             axes.set_title("Manifolds" if parts else "Connection", loc="left")
             legend_above(axes)
@@ -104,7 +104,7 @@ def _values(drawn: Sequence[Observable], z: np.ndarray, t: np.ndarray) -> list[n
         return [np.broadcast_to(np.asarray(each(z, t), dtype=float), t.shape) for each in drawn]
 
 
-def _manifold_lines(part: Manifold, drawn: Sequence[Observable]) -> Iterable[_Line]:
+def _manifold_lines(part: Manifold, drawn: Sequence[Observable]) -> Iterable[Line]:
     many = len(part) > _MANY
     near, u = np.linspace(0, 1, _NEAR)[1:, None], part.departure.coordinates
     for k, (t, z) in enumerate(part.paths):
@@ -120,12 +120,12 @@ def _manifold_lines(part: Manifold, drawn: Sequence[Observable]) -> Iterable[_Li
         yield style, _values(drawn, z, t)
 
 
-def _connection_line(one: Connection, drawn: Sequence[Observable]) -> _Line:
+def _connection_line(one: Connection, drawn: Sequence[Observable]) -> Line:
     t = np.linspace(*one.span, 5 * _POINTS)
     return {"color": _CONNECTING, "label": "connection"}, _values(drawn, one(t), t)
 
 
-def _origin_line(origin: Origin, drawn: Sequence[Observable]) -> _Line:
+def _origin_line(origin: Origin, drawn: Sequence[Observable]) -> Line:
     if isinstance(origin, PeriodicOrbit):
         t = origin.problem.start + np.linspace(0, origin.period, _POINTS)
         return {"color": "black", "label": "periodic orbit", "zorder": 4}, _values(
@@ -136,7 +136,7 @@ def _origin_line(origin: Origin, drawn: Sequence[Observable]) -> _Line:
 
 
 def _in_plane(
-    axes: Any, H: Hamiltonian, lines: Sequence[_Line], drawn: Sequence[Observable]
+    axes: Any, H: Hamiltonian, lines: Sequence[Line], drawn: Sequence[Observable]
 ) -> list[str]:
     for style, columns in lines:
         axes.plot(*columns, **style)
@@ -160,19 +160,6 @@ def _in_plane(
     return notes
 
 
-def _in_space(axes: Any, lines: Sequence[_Line], drawn: Sequence[Observable]) -> list[str]:
-    longest = max(len(columns[0]) for _, columns in lines)
-
-    def padded(values: np.ndarray) -> np.ndarray:
-        return np.append(values, np.full(longest - len(values), np.nan))
-
-    columns = [np.array([padded(own[k]) for _, own in lines]) for k in range(3)]
-    styles = [{k: v for k, v in style.items() if k != "label"} for style, _ in lines]
-    labels = [style.get("label") or "" for style, _ in lines]
-    words = [axis_words(each) for each in drawn]
-    return paths_in_space(axes, columns, styles, labels, words, False)
-
-
 def _manifold_sentence(part: Manifold) -> str:
     number = "1 trajectory" if len(part) == 1 else f"{len(part)} trajectories"
     return f"{part.kind.capitalize()}: {number}, local error {part.local_error:.1e}"
@@ -190,7 +177,7 @@ def draw_connections(found: Connections, *names: Any, ax: Any = None) -> Any:
         raise InputError("name two components or formulas for their plane, or none")
     sentences = [f"Section {found.surface}: {found.message}"]
     caption, warning = caption_words(H, *sentences), found.facts.warning
-    with one_panel(ax, caption, warning, height=7.5) as axes, style_for(ax):
+    with one_panel(ax, caption, warning, height=7.5) as axes:
         for part, cut in zip((found.unstable, found.stable), found.cuts, strict=True):
             _draw_cut(axes, part, cut, drawn)
         for k, one in enumerate(found):

@@ -21,6 +21,7 @@ from hamsym.plotting.captions import axis_words, caption_words, formula_of
 from hamsym.plotting.figure import color_bar, figure_of, label, legend, one_panel
 from hamsym.plotting.names import (
     distinct_numbers,
+    enumerated,
     math_name,
     number,
     quantity,
@@ -34,7 +35,6 @@ from hamsym.plotting.style import (
     MAX_LINES,
     SEQUENTIAL,
     line_styles,
-    style_for,
 )
 from hamsym.plotting.time_axes import envelope, fill_time, label_time
 from hamsym.support.suggestions import similar, unknown
@@ -50,6 +50,10 @@ BESIDE: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.01, 0.5), "
 _DOTS: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 2}
 #: A coordinate along an axis of a plane or of space, and the body to which it belongs.
 CARTESIAN = re.compile(r"([xyzXYZ])_?([0-9]*|[A-Za-z]?)\Z")
+
+
+#: A style with a label, and values along the axes, each of shape (n,).
+Line = tuple[dict[str, Any], Sequence[np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -122,6 +126,11 @@ class Motion:
         entries = zip(values, self.styles, self.labels(), strict=True)
         return [(row, {**style, "label": text}) for row, style, text in entries]
 
+    def lines(self, columns: Sequence[np.ndarray]) -> list[Line]:
+        """Return the path of each trajectory, from values along the axes, shape (members, n)."""
+        paths = zip(self.path_styles, self.labels(), zip(*columns, strict=True), strict=True)
+        return [({**style, "label": text}, path) for style, text, path in paths]
+
     def legend(self, axes: Axes, **options: Any) -> None:
         """Add a legend of several trajectories, whose title is what varies."""
         if any(self.labels()):
@@ -144,13 +153,6 @@ class Motion:
         return caption_words(
             self.H, *self.sentences, *chosen, *sentences, parameters=self.parameters
         )
-
-
-def chosen_members(total: int) -> np.ndarray:
-    """Return the numbers of the trajectories of an ensemble that are drawn."""
-    if total <= MAX_DRAWN:
-        return np.arange(total)
-    return np.unique(np.linspace(0, total - 1, MAX_DRAWN).round().astype(int))
 
 
 def varying(
@@ -180,16 +182,22 @@ def parameters_of(
 
     The ranges of the others are the words of a sentence.
     """
-    words: list[str] = []
-    same = dict(H.parameters)
-    for name, values in varied.items():
-        if np.ptp(values) > 0:
-            del same[name]
-            low, high = number(values.min(), 4), number(values.max(), 4)
-            words += [math_name(name), "from", low, "to", f"{high},"]
-    if not words:
-        return None, []
-    return same, [*words[:-1], words[-1].removesuffix(",")]
+    ranges = {
+        name: [math_name(name), "from", number(values.min(), 4), "to", number(values.max(), 4)]
+        for name, values in varied.items()
+        if np.ptp(values) > 0
+    }
+    same = {name: value for name, value in H.parameters.items() if name not in ranges}
+    return same if ranges else None, enumerated(ranges.values())
+
+
+def own_parameters(
+    H: Hamiltonian, given: Mapping[str, Any], shape: tuple[int, ...]
+) -> np.ndarray | None:
+    """Return the values of all parameters, given ones and those of H, shape (*shape, k)."""
+    known = {**H.parameters, **given}
+    columns = [np.broadcast_to(known[name], shape) for name in H.parameter_names]
+    return np.stack(columns, axis=-1) if columns else None
 
 
 # -- panels ----------------------------------------------------------------------------------------
@@ -272,7 +280,7 @@ def in_plane(
     H = motion.H
     notes: list[Any] = []
     columns = motion.column(x), motion.column(y)
-    paths_in_plane(axes, motion, columns, motion.labels())
+    paths_in_plane(axes, motion, motion.lines(columns))
     for side, each, column in zip("xy", (x, y), columns, strict=True):
         if each.place is None:
             _fold_escape(axes, side, motion.t, column)
@@ -293,22 +301,17 @@ def in_plane(
     return notes
 
 
-def paths_in_plane(
-    axes: Axes,
-    motion: Motion,
-    columns: tuple[np.ndarray, np.ndarray],
-    labels: Sequence[str],
-    **own: Any,
-) -> None:
+def paths_in_plane(axes: Axes, motion: Motion, lines: Sequence[Line]) -> None:
+    """Draw paths in a plane."""
     count = motion.z.shape[1] * len(motion.z)
     every = max(1, round(motion.z.shape[1] / _MAX_POINTS))
-    for x, y, style, text in zip(*columns, motion.path_styles, labels, strict=True):
-        style = {**style, **own, **(_DOTS if motion.apart else {})}
-        color = style["color"]
+    for style, (x, y) in lines:
+        color, dense = style["color"], count > _DENSE
+        if motion.apart:
+            style = {**style, **_DOTS}
         if every > 1:  # lines between distant points would be chords
-            style = {"color": color, "linestyle": "none", "marker": ".", "markersize": 0.8}
-        dense = count > _DENSE
-        axes.plot(x[::every], y[::every], **style, label=text, rasterized=dense)
+            style = {"color": color, "label": style["label"], **_DOTS, "markersize": 0.8}
+        axes.plot(x[::every], y[::every], **style, rasterized=dense)
         if len(motion.z) <= MAX_LINES:
             axes.plot(x[0], y[0], "o", color=color, markersize=3.5, zorder=3)
 
@@ -329,30 +332,26 @@ def in_space(axes: Any, motion: Motion, drawn: Sequence[Observable]) -> list[str
     alike = len(names) == 3 and all(same_scale(motion.H, names[0], name) for name in names)
     columns = [motion.column(each) for each in drawn]
     words = [axis_words(each) for each in drawn]
-    return paths_in_space(axes, columns, motion.path_styles, motion.labels(), words, alike)
+    return paths_in_space(axes, motion.lines(columns), words, alike)
 
 
 def paths_in_space(
-    axes: Any,
-    columns: Sequence[np.ndarray],
-    styles: Sequence[dict[str, Any]],
-    labels: Sequence[str],
-    words: Sequence[tuple[str, str]],
-    alike: bool,
+    axes: Any, lines: Sequence[Line], words: Sequence[tuple[str, str]], alike: bool
 ) -> list[str]:
     """Draw paths in space; return sentences for the caption.
 
-    - columns: Values along the three axes, shape (paths, n).
     - words: Text and unit of each axis.
     - alike: Whether the axes are lengths of one space.
     """
+    columns = [np.concatenate(own) for own in zip(*(path for _, path in lines), strict=True)]
     powers = [power_of_ten(np.nanmax(np.abs(column), initial=0.0)) for column in columns]
     columns = [column / 10.0**power for column, power in zip(columns, powers, strict=True)]
-    every = max(1, columns[0].shape[1] // 20_000)
-    for k, (style, text) in enumerate(zip(styles, labels, strict=True)):
-        axes.plot(*(column[k, ::every] for column in columns), **style, label=text)
-        if len(styles) <= MAX_LINES:
-            axes.plot(*(column[k, :1] for column in columns), "o", color=style["color"], ms=3.5)
+    every = max(1, max(len(path[0]) for _, path in lines) // 20_000)
+    for style, path in lines:
+        own = [values / 10.0**power for values, power in zip(path, powers, strict=True)]
+        axes.plot(*(values[::every] for values in own), **style)
+        if len(lines) <= MAX_LINES:
+            axes.plot(*(values[:1] for values in own), "o", color=style["color"], ms=3.5)
     for axis, (text, unit), power in zip("xyz", words, powers, strict=True):
         getattr(axes, f"set_{axis}label")(with_unit(text, unit, f"$10^{{{power}}}$" * bool(power)))
         axes.tick_params(axis, pad=-2)
@@ -415,7 +414,7 @@ def draw_motion(motion: Motion, drawn: Sequence[Observable], ax: Any) -> Any:
     wider = 1.0 if motion.mapped or spatial else 1.8 if any(motion.labels()) else 0.0
     size: dict[str, Any] = {"width": COLUMN + wider, "height": 6.0 if len(drawn) == 1 else 7.5}
     size["projection"] = "3d" if spatial else None
-    with one_panel(ax, motion.caption(), motion.warning, **size) as axes, style_for(ax):
+    with one_panel(ax, motion.caption(), motion.warning, **size) as axes:
         if len(drawn) == 1:
             over_time(axes, motion, drawn[0])
         elif spatial:

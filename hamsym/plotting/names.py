@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import sympy
@@ -80,6 +80,31 @@ def words_of(text: str) -> list[str]:
     return escaped(text).split()
 
 
+def sentence_words(sentences: Iterable[str | Sequence[str]]) -> list[str]:
+    """Return sentences, plain text or words, as the words of a caption; empty ones are left out."""
+    words: list[str] = []
+    for given in sentences:
+        part = words_of(given) if isinstance(given, str) else given
+        if part:
+            words += [*part[:-1], part[-1] if part[-1].endswith(".") else part[-1] + "."]
+    return words
+
+
+def some_of(shown: int, total: int, what: str, *other: str) -> list[str]:
+    """Return the sentence that some are drawn, with names that draw another; none for all."""
+    names = ", ".join(f"'{name}'" for name in other)
+    text = f"{shown} of {total} {what} are drawn; plot({names}) draws others"
+    return [text] if shown < total else []
+
+
+def enumerated(parts: Iterable[Sequence[str]]) -> list[str]:
+    """Return the words of several parts, with commas between the parts."""
+    words: list[str] = []
+    for part in parts:
+        words += [*part[:-1], f"{part[-1]},"]
+    return [*words[:-1], words[-1].removesuffix(",")] if words else []
+
+
 def math_name(name: str) -> str:
     """Return a name as matplotlib draws mathematics; other names as plain, shortened text.
 
@@ -125,24 +150,29 @@ def number(value: float, digits: int = 6) -> str:
     return f"${times}10^{{{int(power)}}}$"
 
 
-def distinct_numbers(values: Sequence[float], digits: int = 4) -> list[str]:
-    """Return numbers with as many digits as tell different ones apart, at least so many.
+def distinct_numbers(values: Sequence[float]) -> list[str]:
+    """Return numbers with as many digits as tell different ones apart, from 4 to 15.
 
     Examples
     --------
     >>> distinct_numbers([0.25, 1 / 3]), distinct_numbers([1.00001, 1.00002])
     (['0.25', '0.3333'], ['1.00001', '1.00002'])
     """
-    while True:
+    for digits in range(4, 16):
         texts = [number(value, digits) for value in values]
-        if digits >= 15 or len(set(texts)) >= len(set(values)):
-            return texts
-        digits += 1
+        if len(set(texts)) >= len(set(values)):
+            break
+    return texts
 
 
 def quantity(H: Hamiltonian, name: str) -> tuple[str, str]:
     """Return a name as mathematics and its unit, for :func:`label`."""
     return math_name(name), math_unit(H.units.get(name, "1"))
+
+
+def amount(H: Hamiltonian, name: str, value: float, digits: int = 6) -> str:
+    """Return a value of a component, a parameter or the time, with its unit."""
+    return f"{number(value, digits)} {math_unit(H.units.get(name, '1'))}".strip()
 
 
 def with_unit(text: str, unit: str, power: str = "") -> str:

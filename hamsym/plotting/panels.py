@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,24 +12,21 @@ from matplotlib.axes import Axes
 from hamsym.errors import InputError
 from hamsym.plotting.figure import Figure, figure_of, one_panel
 from hamsym.plotting.names import known_name
-from hamsym.plotting.style import COLUMN, GREY, PAGE, style_for, styled
+from hamsym.plotting.style import GREY, PAGE, styled
+
+#: Draws into axes, and returns sentences for the caption, or None.
+Draw: TypeAlias = Callable[[Axes], Sequence[Any] | None]
 
 
 @dataclass(frozen=True)
 class Panel:
     """A panel of a figure."""
 
-    #: Draws into axes.
-    draw: Callable[[Axes], Any]
+    draw: Draw
     #: Of the panel, in centimetres.
     height: float = 6.5
     #: Of its axes: "3d" for space.
     projection: str | None = None
-
-    @property
-    def size(self) -> dict[str, Any]:
-        """Options of :func:`one_panel`."""
-        return {"height": self.height, "projection": self.projection}
 
 
 def log_scales(axes: Axes, empty: str) -> None:
@@ -49,6 +46,8 @@ def draw_panels(
     ax: Any,
     caption: Sequence[str],
     warning: str = "",
+    *,
+    columns: int = 2,
 ) -> Any:
     """Draw the panels of an overview side by side, or the one that is named.
 
@@ -59,14 +58,18 @@ def draw_panels(
     - shown: Those of the overview.
     - names: The panel that was asked for, or none.
     - ax: The axes of the user for one panel.
+    - columns: Of the overview; of two columns, the last of an odd number of panels fills both.
     """
     if len(names) > 1:
         raise InputError(f"{len(names)} panels cannot be drawn in one; give one name, or none")
     chosen = [known_name(names[0], list(panels), "a panel of this figure")] if names else shown
     if len(chosen) == 1:
         panel = panels[chosen[0]]
-        with one_panel(ax, caption, warning, **panel.size) as axes, style_for(ax):
-            panel.draw(axes)
+        size: dict[str, Any] = {"height": panel.height, "projection": panel.projection}
+        with one_panel(ax, caption, warning, **size) as axes:
+            notes = panel.draw(axes) or ()
+            if ax is None:
+                figure_of(axes).add_to_caption(notes)
             return figure_of(axes)
     if ax is not None:
         listed = ", ".join(f"'{name}'" for name in chosen)
@@ -75,17 +78,18 @@ def draw_panels(
             f"name of one: {listed}"
         )
     with styled():
-        columns = 2
         rows = -(-len(chosen) // columns)
         heights = [
             max(panels[name].height for name in chosen[columns * k : columns * k + columns])
             for k in range(rows)
         ]
-        width = PAGE if len(chosen) > 1 else COLUMN
-        figure = Figure.of_size(width, sum(heights), caption, warning)
+        figure = Figure.of_size(PAGE, sum(heights), caption, warning)
         grid = figure.add_gridspec(rows, columns, height_ratios=heights)
+        sentences: list[Any] = []
         for k, name in enumerate(chosen):
-            alone = k == len(chosen) - 1 and not k % columns
+            alone = columns == 2 and k == len(chosen) - 1 and not k % columns
             place = grid[k // columns, :] if alone else grid[k // columns, k % columns]
-            panels[name].draw(figure.add_subplot(place, projection=panels[name].projection))
+            axes = figure.add_subplot(place, projection=panels[name].projection)
+            sentences += panels[name].draw(axes) or ()
+        figure.add_to_caption(sentences)
         return figure

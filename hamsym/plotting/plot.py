@@ -1,7 +1,7 @@
 """plot(): the figure of a result, found by its type.
 
 The figure of a type is the function ``draw_...`` of a module of this room whose first argument is
-annotated with it.
+annotated with it. Results without one are drawn by the first table of their facts.
 """
 
 from __future__ import annotations
@@ -11,10 +11,15 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from hamsym.errors import InputError
-from hamsym.plotting.tables import draw_table
+from hamsym.facts.facts import Column
+from hamsym.plotting.captions import caption_words
+from hamsym.plotting.figure import figure_of, label, legend, one_panel
+from hamsym.plotting.names import words_of
+from hamsym.plotting.style import color_of
 from hamsym.support.shown import Shown, by_type, function_of
 from hamsym.support.suggestions import checked_keywords
 
@@ -66,3 +71,38 @@ def plot(result: Any, *args: Any, **options: Any) -> Figure:
 def _figures() -> dict[str, Callable[..., Any]]:
     """Return the functions that draw results, by the names of their types."""
     return by_type("hamsym.plotting", lambda name, _: name.startswith("draw_"))
+
+
+def draw_table(result: Any, *, ax: Any = None) -> Any:
+    """Draw the columns of numbers of the first table that has some, over its rows."""
+    facts = result.facts
+    drawn = ((table, [*filter(_is_drawn, table.columns)]) for table in facts.tables)
+    table, shown = next((pair for pair in drawn if pair[1]), (None, []))
+    if table is None:
+        raise InputError(f"{type(result).__name__} has no table of numbers to draw")
+    words = words_of(". ".join(facts.opening))
+    if hasattr(result, "H"):
+        words = caption_words(result.H, *facts.opening)
+    with one_panel(ax, words, facts.warning) as axes:
+        rows = [str(name) for name in table.names]
+        try:
+            places, named = np.array([float(row) for row in rows]), False
+        except ValueError:
+            places, named = np.arange(len(rows), dtype=float), True
+        for k, column in enumerate(shown):
+            axes.plot(places, column.values, color=color_of(k), label=column.label)
+        label(axes.xaxis, table.head or table.what)
+        if named:
+            axes.set_xticks(places, rows)
+        if len(shown) == 1:
+            label(axes.yaxis, shown[0].label)
+        else:
+            legend(axes)
+        axes.set_title(table.title)
+        return figure_of(axes)
+
+
+def _is_drawn(column: Column) -> bool:
+    """Whether a column has one real number in each row."""
+    values = np.asarray(column.values)
+    return values.ndim == 1 and values.size > 0 and values.dtype.kind in "fiu"

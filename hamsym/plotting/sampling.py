@@ -9,6 +9,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from hamsym.codegen.observable import Observable
+from hamsym.facts.wording import evenly
 from hamsym.plotting.style import SAMPLES
 
 _MOST = 20_000  # times of a figure
@@ -94,7 +95,7 @@ def resolved(
     16001 Dots: 16,001 times, too few for lines between them
     """
     most = min(_MOST, max(SAMPLES, _MOST_STATES // max(trajectories, 1)))
-    t = thinned(times, 2 * SAMPLES)
+    t = times[evenly(len(times), 2 * SAMPLES)]
     count, rounds = len(formulas), 0
 
     def sampled(t: np.ndarray) -> np.ndarray:
@@ -113,13 +114,6 @@ def resolved(
         places = np.flatnonzero(bent)
         t = np.insert(t, places + 1, between[places])
         z = np.insert(z, places + 1, curve[..., places, :], axis=-2)
-
-
-def thinned(times: np.ndarray, most: int) -> np.ndarray:
-    """Return at most this number of times, evenly chosen, with the first and the last."""
-    if len(times) <= most:
-        return times
-    return times[np.linspace(0, len(times) - 1, most).round().astype(int)]
 
 
 def _bent(z: np.ndarray, curve: np.ndarray, formulas: int, judged: bool) -> np.ndarray:

@@ -18,7 +18,7 @@ from hamsym.plotting.captions import axis_words, caption_words, formula_of
 from hamsym.plotting.figure import color_bar, figure_of, label, one_panel
 from hamsym.plotting.motions import parameters_of, varying
 from hamsym.plotting.names import distinct_numbers, escaped, math_name, number, with_unit
-from hamsym.plotting.style import COLORS, COLUMN, GREY, MAX_LINES, shades, style_for
+from hamsym.plotting.style import COLORS, COLUMN, GREY, MAX_LINES, shades
 from hamsym.problems.surface import parse_surface
 
 _WIDER, _GRID = (0.6, 2.0, 6.0), 301  # shares of the plane added on each side, to find a boundary
@@ -49,7 +49,7 @@ def draw_section(section: Section, *names: Any, ax: Any = None) -> Any:
     sentences += [words for each in drawn if (words := formula_of(each))]
     words = caption_words(H, *([ranges] if ranges else []), *sentences, parameters=shared)
     varied, unit, values = varying(H, section.z0, section.parameters)
-    with one_panel(ax, words, warning, width=COLUMN + 3, height=9.0) as axes, style_for(ax):
+    with one_panel(ax, words, warning, width=COLUMN + 3, height=9.0) as axes:
         norm = Normalize(float(values.min()), float(values.max()))
         size = 4.0 if len(section.t) < 500 else 2.6 if len(section.t) < 5_000 else 1.6
         if len(numbers) > MAX_LINES:

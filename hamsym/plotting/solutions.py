@@ -1,4 +1,4 @@
-"""Figures of solutions, one or many."""
+"""Figures of solutions, one or many, and of trajectories from time stepping."""
 
 from __future__ import annotations
 
@@ -11,29 +11,24 @@ from matplotlib.axes import Axes
 
 from hamsym.codegen.observable import Observable
 from hamsym.errors import InputError
+from hamsym.facts.wording import evenly
 from hamsym.families.solutions import Solutions
-from hamsym.plotting.energies import draw_energies
-from hamsym.plotting.figure import (
-    figure_of,
-    label,
-    legend,
-    legend_above,
-    one_panel,
-    require_no_axes,
-)
+from hamsym.integrators.interpolation import Interpolant
+from hamsym.integrators.trajectory import Trajectory
+from hamsym.plotting.figure import label, legend, legend_above
 from hamsym.plotting.motions import (
+    MAX_DRAWN,
     Motion,
-    chosen_members,
-    draw_motion,
     drawn_of,
     formulas_of,
     parameters_of,
     varying,
 )
 from hamsym.plotting.names import energy_unit, quantity, time_name
-from hamsym.plotting.overview import MotionPanels
-from hamsym.plotting.sampling import resolved, thinned
-from hamsym.plotting.style import SAMPLES, WARNING, color_of, style_for, styled
+from hamsym.plotting.overview import draw_energies, draw_motions
+from hamsym.plotting.panels import Draw
+from hamsym.plotting.sampling import resolved, with_formulas
+from hamsym.plotting.style import SAMPLES, WARNING, color_of
 from hamsym.plotting.time_axes import (
     LARGEST,
     component_curves,
@@ -42,6 +37,7 @@ from hamsym.plotting.time_axes import (
     log_lines,
     name_curves,
     name_energy_error,
+    relative,
 )
 from hamsym.proof.windows.certificate import Certificate
 from hamsym.solution.solution import Solution
@@ -49,48 +45,30 @@ from hamsym.solution.solution import Solution
 _MOST_OF_ERRORS = 4_000
 _ASKED_STYLE: dict[str, Any] = {"color": "black", "linestyle": ":", "label": "asked for"}
 _WORDS = ("error", "residual", "energy", "energies", "search")
+_SAVE_MORE = "Dots: the saved states, which are too far apart for lines between them; save more"
 
 
 def draw_solution(
     solution: Solution, *names: Any, ax: Any = None, certificate: Certificate | None = None
 ) -> Any:
     """Draw a solution; see :meth:`hamsym.Solution.plot`."""
-    H = solution.H
     certificate = solution.certificate if certificate is None else certificate
     if not isinstance(certificate, Certificate | None):
         raise InputError(
             f"certificate is a {type(certificate).__name__}; give what solution.certify() returns"
         )
-    word, drawn = drawn_of(H, names, _WORDS)
+    word, drawn = drawn_of(solution.H, names, _WORDS)
     motion = _motion(solution, formulas_of(drawn))
-    if not names:
-        require_no_axes(ax, f"'{H.names[0]}', '{H.names[H.dof]}'")
-        with styled():
-            panels = MotionPanels(motion, 4)
-            error, energy, residual, last = panels.free
-            notes = draw_error(error, solution, certificate)
-            draw_energy_error(energy, solution)
-            draw_residual(residual, solution)
-            if solution.record.edges is None:
-                draw_search(last, solution)
-            else:
-                draw_energies(last, motion)
-            return panels.finished(*notes, LARGEST)
-    if word:
-        with one_panel(ax, (), motion.warning, height=6.0) as axes, style_for(ax):
-            notes = []
-            if word == "error":
-                notes = draw_error(axes, solution, certificate)
-            elif word == "energies":
-                draw_energies(axes, motion)
-            else:
-                draw = {"residual": draw_residual, "energy": draw_energy_error}
-                draw.get(word, draw_search)(axes, solution)
-            if ax is None:
-                notes += [] if word in ("search", "energies") else [LARGEST]
-                figure_of(axes).set_caption(motion.caption(*notes), motion.warning)
-            return figure_of(axes)
-    return draw_motion(motion, drawn, ax)
+    draws: tuple[Draw, ...] = (
+        lambda axes: draw_error(axes, solution, certificate),
+        lambda axes: draw_residual(axes, solution),
+        lambda axes: draw_energy_error(axes, solution),
+        lambda axes: draw_energies(axes, motion),
+        lambda axes: draw_search(axes, solution),
+    )
+    last = "search" if solution.record.edges is None else "energies"
+    panels = dict(zip(_WORDS, draws, strict=True))
+    return draw_motions(motion, word, drawn, ax, panels, ("error", "energy", "residual", last))
 
 
 def _motion(solution: Solution, formulas: Sequence[Observable]) -> Motion:
@@ -111,7 +89,8 @@ def _motion(solution: Solution, formulas: Sequence[Observable]) -> Motion:
 
 def _times(solution: Solution) -> np.ndarray:
     """Return the times of curves of errors."""
-    return thinned(solution.record.times(solution.span, SAMPLES), _MOST_OF_ERRORS)
+    times = solution.record.times(solution.span, SAMPLES)
+    return times[evenly(len(times), _MOST_OF_ERRORS)]
 
 
 def asked_of(solution: Solution, sizes: np.ndarray) -> list[tuple[float, dict[str, Any]]]:
@@ -128,11 +107,6 @@ def asked_of(solution: Solution, sizes: np.ndarray) -> list[tuple[float, dict[st
     return [(float(ratios.min()), {**_ASKED_STYLE, "label": text})]
 
 
-def _relative(values: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-    with np.errstate(all="ignore"):
-        return np.where(values == 0, 0.0, np.abs(values) / np.where(sizes > 0, sizes, np.nan))
-
-
 def draw_error(axes: Axes, solution: Solution, certificate: Certificate | None = None) -> list[Any]:
     """Draw the estimated errors relative to the sizes of the components, with what was asked.
 
@@ -142,11 +116,11 @@ def draw_error(axes: Axes, solution: Solution, certificate: Certificate | None =
     H, t = solution.H, _times(solution)
     sizes = solution.scale if solution.error is None else solution.error.scale
     with np.errstate(all="ignore"):
-        values = _relative(np.asarray(solution.error_estimate(t)), sizes)
+        values = relative(np.asarray(solution.error_estimate(t)), sizes)
     lines = asked_of(solution, sizes)
     notes: list[Any] = []
     if certificate is not None:
-        bounds = _relative(np.array(certificate.component_bounds), sizes)
+        bounds = relative(np.array(certificate.component_bounds), sizes)
         worst = int(np.nanargmax(bounds))
         lower = certificate.component_lowers[worst] / sizes[worst]
         lines.append((float(bounds[worst]), {"color": WARNING, "label": "proven bound"}))
@@ -156,31 +130,33 @@ def draw_error(axes: Axes, solution: Solution, certificate: Certificate | None =
     log_lines(axes, t, component_curves(H, values), lines=lines, unknown="infinite where not drawn")
     name_curves(axes, H, "Estimated error", "error / size")
     legend_above(axes)
-    return notes
+    return [*notes, LARGEST]
 
 
-def draw_residual(axes: Axes, solution: Solution) -> None:
+def draw_residual(axes: Axes, solution: Solution) -> list[str]:
     """Draw the residual of each component relative to its largest rate."""
     t = _times(solution)
     residual = np.asarray(solution.residual(t))
     rates = np.abs(np.asarray(solution.derivative(t))).max(axis=0)
-    log_lines(axes, t, component_curves(solution.H, _relative(residual, rates)))
+    log_lines(axes, t, component_curves(solution.H, relative(residual, rates)))
     name_curves(axes, solution.H, r"Residual $\ell$", r"$|\ell_i|\,/\,\max|\dot z_i|$")
     legend_above(axes)
+    return [LARGEST]
 
 
-def draw_energy_error(axes: Axes, solution: Solution) -> None:
+def draw_energy_error(axes: Axes, solution: Solution) -> list[str]:
     """Draw the change of H, less the work of forces and explicit time."""
     H, t = solution.H, _times(solution)
     jumps = (sympy.sign, sympy.Heaviside, sympy.Piecewise, sympy.floor)
     if H.time is not None and any(H.expr.has(kind) for kind in jumps):
         axes.plot(t, solution.energy(t), color=color_of(0))
         name_curves(axes, H, "Energy", "$H$", energy_unit(H))
-        return
+        return [LARGEST]
     with np.errstate(all="ignore"):
         drift = np.abs(np.asarray(solution.energy_drift(t)))
     log_lines(axes, t, [(drift, {"color": color_of(0)})], unknown="unknown")
     name_energy_error(axes, H)
+    return [LARGEST]
 
 
 def draw_search(axes: Axes, solution: Solution) -> None:
@@ -214,33 +190,20 @@ def draw_search(axes: Axes, solution: Solution) -> None:
 
 def draw_solutions(many: Solutions, *names: Any, ax: Any = None) -> Any:
     """Draw an ensemble; see :meth:`hamsym.Solutions.plot`."""
-    H, words = many.H, ("error", "energy")
     if not many.size:
         raise InputError("there are no trajectories to draw; solve at least one")
-    word, drawn = drawn_of(H, names, words)
+    word, drawn = drawn_of(many.H, names, ("error", "energy"))
     motion, shown = _ensemble(many, formulas_of(drawn))
-    if not names:
-        require_no_axes(ax, f"'{H.names[0]}', '{H.names[H.dof]}'")
-        with styled():
-            panels = MotionPanels(motion, 2)
-            _draw_member_errors(panels.free[0], many)
-            _draw_energies(panels.free[1], shown, motion)
-            return panels.finished(LARGEST)
-    if word:
-        with one_panel(ax, motion.caption(), motion.warning, height=6.0) as axes, style_for(ax):
-            if word == "error":
-                _draw_member_errors(axes, many)
-            else:
-                _draw_energies(axes, shown, motion)
-                motion.legend(axes)
-                motion.color_bar(axes)
-            return figure_of(axes)
-    return draw_motion(motion, drawn, ax)
+    panels: dict[str, Draw] = {
+        "error": lambda axes: _draw_member_errors(axes, many),
+        "energy": lambda axes: _draw_energies(axes, shown, motion),
+    }
+    return draw_motions(motion, word, drawn, ax, panels, [*panels], [LARGEST], {"energy"})
 
 
 def _ensemble(many: Solutions, formulas: Sequence[Observable]) -> tuple[Motion, Solutions]:
     """Return the trajectories that are drawn, as a motion and as solutions."""
-    chosen = chosen_members(many.size)
+    chosen = evenly(many.size, MAX_DRAWN)
     shown = Solutions(many.family, many.table, many.windows, many.members.ravel()[chosen])
     times = np.linspace(*many.span, SAMPLES)
     t, z, apart = resolved(shown, times, len(chosen), formulas, shown.own_parameters)
@@ -276,9 +239,7 @@ def _draw_member_errors(axes: Axes, many: Solutions) -> None:
         legend_above(axes)
     axes.margins(x=0.05)
     low = min(errors[finite].min(initial=many.tol), many.tol) / 2
-    decades_and_lines(
-        axes, low, top, [(many.tol, {"color": "black", "linestyle": ":", "label": "asked for"})]
-    )
+    decades_and_lines(axes, low, top, [(many.tol, _ASKED_STYLE)])
     axes.set_title("Largest estimated error of each trajectory")
     label(axes.xaxis, name, unit)
     label(axes.yaxis, "error / size")
@@ -293,3 +254,90 @@ def _draw_energies(axes: Axes, shown: Solutions, motion: Motion) -> None:
         for values, style in motion.curves(energy):
             axes.plot(motion.t, values, **style)
         name_curves(axes, motion.H, "Energy", "$H$", energy_unit(motion.H))
+
+
+# -- trajectories by time stepping -----------------------------------------------------------------
+
+
+def draw_trajectory(trajectory: Trajectory, *names: Any, ax: Any = None) -> Any:
+    """Draw a trajectory or an ensemble; see :meth:`hamsym.Trajectory.plot`."""
+    total = len(trajectory.ensemble)
+    if not total:
+        raise InputError("there are no trajectories to draw; integrate at least one")
+    chosen = evenly(total, MAX_DRAWN)
+    word, drawn = drawn_of(trajectory.ensemble.H, names, ("energy", "error", "energies"))
+    if word == "energies" and total > 1:
+        raise InputError(
+            f"energies are drawn of one trajectory, not of {total:,}; integrate one of them"
+        )
+    if word == "error" and trajectory.errors is None:
+        raise InputError(
+            "this trajectory has no error estimate; integrate with tol=, for example tol=1e-9"
+        )
+    motion = _stepped(trajectory, chosen, formulas_of(drawn))
+    panels: dict[str, Draw] = {
+        "energy": lambda axes: _draw_energy(axes, trajectory, motion, chosen)
+    }
+    if trajectory.errors is not None:
+        panels["error"] = lambda axes: _draw_error(axes, trajectory, motion, chosen)
+    if total == 1:
+        panels["energies"] = lambda axes: draw_energies(axes, motion)
+    return draw_motions(motion, word, drawn, ax, panels, [*panels], keyed=panels)
+
+
+def _stepped(trajectory: Trajectory, chosen: np.ndarray, formulas: Sequence[Observable]) -> Motion:
+    members, drawn = trajectory.ensemble, trajectory.ensemble.some(chosen)
+    same, ranges = parameters_of(members.H, members.columns)
+    warning = trajectory.facts.warning
+    t, z, apart = _between(trajectory, chosen, formulas)
+    return Motion(
+        members.H,
+        t,
+        z,
+        total=len(members),
+        sentences=[ranges, "" if warning else trajectory.message],
+        warning=warning,
+        varied=varying(members.H, drawn.states, drawn.columns),
+        parameters=same,
+        apart=apart,
+        formulas=formulas,
+    )
+
+
+def _between(
+    trajectory: Trajectory, chosen: np.ndarray, formulas: Sequence[Observable]
+) -> tuple[np.ndarray, np.ndarray, str]:
+    """Return times and states to draw, between few saved ones, and a sentence if they are few."""
+    members, t = trajectory.ensemble.some(chosen), trajectory.t
+    z = trajectory.ensemble.flat(trajectory.z)[chosen]
+    values = members.own_parameters()
+    saved = with_formulas(z, t, formulas, values)
+    if len(t) < 2:
+        return t, saved, ""
+    try:
+        between = Interpolant(t, z, members).states
+        first = np.linspace(t[0], t[-1], SAMPLES)
+        dense, states, apart = resolved(between, first, len(chosen), formulas, values)
+    except InputError:
+        return t, saved, _SAVE_MORE
+    return (dense, states, apart) if len(t) < len(dense) else (t, saved, "")
+
+
+def _draw_energy(axes: Axes, trajectory: Trajectory, motion: Motion, chosen: np.ndarray) -> None:
+    """Draw the change of H, less the work of forces and explicit time."""
+    with np.errstate(all="ignore"):
+        change = np.abs(trajectory.ensemble.flat(trajectory.energy_drift)[chosen])
+    log_lines(axes, trajectory.t, motion.curves(change), unknown="")
+    name_energy_error(axes, motion.H)
+
+
+def _draw_error(axes: Axes, trajectory: Trajectory, motion: Motion, chosen: np.ndarray) -> None:
+    """Draw the estimated error, the largest of the components relative to their sizes."""
+    assert trajectory.errors is not None
+    errors = trajectory.ensemble.flat(trajectory.errors)[chosen]
+    with np.errstate(all="ignore"):
+        states = trajectory.ensemble.flat(trajectory.z)[chosen]
+        sizes = np.nanmax(np.abs(states), axis=1, keepdims=True)
+        largest = np.nanmax(relative(errors, sizes), axis=-1)
+    log_lines(axes, trajectory.t, motion.curves(largest), unknown="infinite where not drawn")
+    name_curves(axes, motion.H, "Largest estimated error up to each time", "error / size")

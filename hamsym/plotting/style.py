@@ -6,7 +6,7 @@ Nothing here changes matplotlib's settings outside ``with styled():``, and nothi
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from typing import Any
 
 import matplotlib
@@ -71,11 +71,6 @@ def styled() -> Iterator[None]:
         yield
 
 
-def style_for(ax: Any) -> AbstractContextManager[None]:
-    """Return the style of a figure of hamsym, or that of the user for the user's own axes."""
-    return styled() if ax is None else nullcontext()
-
-
 def color_of(index: int) -> str:
     return COLORS[index % len(COLORS)]
 
@@ -83,6 +78,12 @@ def color_of(index: int) -> str:
 def line_style(index: int) -> dict[str, Any]:
     """Return colour and dashes; dashes change before a colour is repeated."""
     return {"color": color_of(index), "linestyle": DASHES[index // len(COLORS) % len(DASHES)]}
+
+
+def marker_style(index: int) -> dict[str, Any]:
+    """Return colour and marker of points without lines; both change, then their pairs."""
+    marker = MARKERS[(index + index // len(MARKERS)) % len(MARKERS)]
+    return {"color": color_of(index), "marker": marker, "linestyle": "none"}
 
 
 def shades(count: int) -> np.ndarray:

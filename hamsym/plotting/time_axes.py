@@ -82,6 +82,12 @@ def component_curves(H: Hamiltonian, values: np.ndarray) -> list[tuple[np.ndarra
     ]
 
 
+def relative(values: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """Return sizes of errors relative to those of components; nan where these are zero."""
+    with np.errstate(all="ignore"):
+        return np.where(values == 0, 0.0, np.abs(values) / np.where(sizes > 0, sizes, np.nan))
+
+
 def log_lines(
     axes: Axes,
     t: np.ndarray,
@@ -132,20 +138,11 @@ def decades_and_lines(
     Return whether it has any.
     """
     known = [(value, style) for value, style in lines if np.isfinite(value) and value > 0]
-    for side, (value, style) in zip(("left", "right"), known, strict=False):
-        plain = {key: entry for key, entry in style.items() if key != "label"}
-        axes.axhline(value, **plain)
-        axes.annotate(
-            style["label"],
-            (0.01 if side == "left" else 0.99, value),
-            (0, 1.5),
-            xycoords=axes.get_yaxis_transform(),
-            textcoords="offset points",
-            ha=side,
-            va="bottom",
-            fontsize=6,
-            color=style["color"],
-        )
+    above = {"xycoords": axes.get_yaxis_transform(), "textcoords": "offset points", "va": "bottom"}
+    for (side, x), (value, style) in zip((("left", 0.01), ("right", 0.99)), known, strict=False):
+        axes.axhline(value, **{key: entry for key, entry in style.items() if key != "label"})
+        own = {"fontsize": 6, "color": style["color"], "ha": side, **above}
+        axes.annotate(style["label"], (x, value), (0, 1.5), **own)
     axes.set_yscale("log")
     heights = [value for value in (low, top) if np.isfinite(value) and value > 0]
     heights += [value for value, _ in known]

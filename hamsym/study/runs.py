@@ -1,21 +1,26 @@
-"""Runs of a sweep: one solution each, with its files."""
+"""Runs of a sweep: one solution each, with its files, side by side in processes."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 import re
-from collections.abc import Callable, Mapping
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import torch
 
 from hamsym.archive import load_solution
-from hamsym.errors import InputError, KeywordError
+from hamsym.errors import HamsymError, InputError, KeywordError
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.parallel.processes import ProcessEndedError, in_processes
 from hamsym.problems.description import settings_text
 from hamsym.problems.problem import (
     InitialValueProblem,
@@ -28,12 +33,14 @@ from hamsym.solution.settings import Settings
 from hamsym.solution.solution import Solution
 from hamsym.solving.methods import method_of, option_message
 from hamsym.solving.solve import problem_of, solve
+from hamsym.support.progress import share_progress
 from hamsym.support.suggestions import keyword_message
 from hamsym.support.validation import plain
 
 if TYPE_CHECKING:
     from hamsym.networks.record import TrainingState
 
+_REPORT_EVERY = 0.5  # seconds between two reports of a run
 # Increased by changes of the methods after which existing runs are not reused.
 _REVISION = 4
 # Options that do not affect the solution, or that are handled separately.
@@ -145,3 +152,72 @@ def planned_run(
     file = folder / f"{short}-{seed}-{hashlib.sha256(text.encode()).hexdigest()[:12]}.hamsym"
     label = f"{name}, seed {seed}"
     return Run(label, problem.H, problem.z0, problem.span, seed, options, path, file)
+
+
+# -- processes -------------------------------------------------------------------------------------
+
+# Label of a run, share of its iterations, best loss.
+_Report: TypeAlias = tuple[str, float, float]
+
+
+class Board:
+    """The shares of the runs that go on, and the run that reported last, drawn as a bar.
+
+    - total: Number of runs.
+    - draw: (share of all runs, note) -> None.
+    """
+
+    def __init__(self, total: int, draw: Callable[[float, str], None]) -> None:
+        self._total, self._draw = total, draw
+        self._shares, self._finished = dict[str, float](), set[str]()
+        self._lock = threading.Lock()  # several threads report
+
+    def put(self, item: _Report) -> None:
+        """Show the report of a run."""
+        label, share, loss = item
+        if label not in self._finished:  # else the report was delayed
+            self._show(label, share, f"{label}: loss {loss:.1e}")
+
+    def ended(self, label: str) -> None:
+        """Count a run that has ended."""
+        self._finished.add(label)
+        self._show(label, 1.0, f"{len(self._finished)} of {self._total} runs")
+
+    def _show(self, label: str, share: float, note: str) -> None:
+        with self._lock:
+            self._shares[label] = share
+            self._draw(sum(self._shares.values()) / self._total, note)
+
+
+def carry_out(runs: Sequence[Run], workers: int, progress: bool | None) -> None:
+    """Carry out runs in this process or in several.
+
+    Raise HamsymError if a run fails in another process, or its process ended.
+
+    - workers: Processes; 1 for this process.
+    - progress: As of :func:`hamsym.support.progress.stepping_progress`.
+    """
+    with share_progress(progress, "sweep") as draw:
+        board = Board(len(runs), draw)
+        with closing(in_processes(_reporting, runs, workers, board.put)) as done:
+            try:
+                for run, _ in done:
+                    board.ended(run.label)
+            except ProcessEndedError:
+                raise HamsymError(
+                    "a process ended before its run: give fewer workers if memory was short; "
+                    "finished runs are kept"
+                ) from None
+
+
+def _reporting(run: Run, report: Callable[[_Report], None]) -> None:
+    """Carry out a run, with regular reports of its progress."""
+    reported = -math.inf
+
+    def tell(state: TrainingState) -> None:
+        nonlocal reported
+        if time.monotonic() - reported > _REPORT_EVERY:
+            reported = time.monotonic()
+            report((run.label, state.iteration / state.iterations, state.best_loss))
+
+    run.carry_out(tell)

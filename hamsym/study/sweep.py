@@ -21,9 +21,8 @@ from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.problems.problem import InitialValueProblem
 from hamsym.solution.solution import Solution
 from hamsym.study.compare import Row, measure
-from hamsym.study.processes import carry_out
 from hamsym.study.references import ReferenceSolution
-from hamsym.study.runs import Run, arguments_of, planned_run
+from hamsym.study.runs import Run, arguments_of, carry_out, planned_run
 from hamsym.support.locking import exclusive
 from hamsym.support.machine import available_cores
 from hamsym.support.method_object import Method
@@ -141,21 +140,17 @@ class Sweep(Drawn, Shown):
         InputError
             If pandas is not installed.
         """
-        runs = [
-            (place, name, number)
-            for place, name in enumerate(self.solutions)
-            for number in range(len(self.seeds))
-        ]
-        solutions = [self.solutions[name][number] for _, name, number in runs]
-        columns: dict[str, Any] = {"settings": [name for _, name, _ in runs]}
-        for option, values in self.swept.items():
-            columns[option] = [values[place] for place, _, _ in runs]
+        settings = {"settings": tuple(self.solutions), **self.swept}
+        columns: dict[str, Any] = {
+            name: [value for value in values for _ in self.seeds]
+            for name, values in settings.items()
+        }
         columns |= {
-            "seed": [self.seeds[number] for *_, number in runs],
-            "success": [bool(solution.success) for solution in solutions],
-            "error": [solution.relative_error for solution in solutions],
-            "seconds": [solution.record.seconds for solution in solutions],
-            "message": [solution.message for solution in solutions],
+            "seed": [*self.seeds] * len(self.solutions),
+            "success": [bool(solution.success) for solution in self._runs],
+            "error": [solution.relative_error for solution in self._runs],
+            "seconds": [solution.record.seconds for solution in self._runs],
+            "message": [solution.message for solution in self._runs],
         }
         return data_frame(columns)
 

@@ -24,8 +24,8 @@ import torch
 import hamsym
 from hamsym import FileError, Hamiltonian, InputError, Solution, solve
 from hamsym.cli.commands import main
-from hamsym.exporting.c_header import prefix_of
 from hamsym.exporting.export import FORMATS
+from hamsym.exporting.formats import prefix_of
 
 PAGE = Path(__file__).parents[2] / "examples" / "guide" / "exporting.md"
 EPS = np.finfo(float).eps

@@ -14,9 +14,8 @@ from hamsym import Hamiltonian
 from hamsym.cli.derivation import _lines
 from hamsym.formula.parser import parse_expression
 from hamsym.formula.printer import FormulaPrinter
-from hamsym.workbench.equations import equations
-from hamsym.workbench.mathml import mathml
-from hamsym.workbench.notebooks.cards import typeset as typeset_formula
+from hamsym.workbench.mathml import equations, mathml
+from hamsym.workbench.notebooks.representation import typeset as typeset_formula
 
 SPRING = "k*(r - l)**2/2 - g*r*cos(theta) + p_theta**2/(2*r**2) + p_r**2/2"
 

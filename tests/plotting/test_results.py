@@ -18,8 +18,8 @@ from hamsym.orbits.certificate import OrbitCertificate
 from hamsym.plotting.equilibria import energy_at_rest
 from hamsym.plotting.figure import one_panel
 from hamsym.plotting.names import energy_unit
+from hamsym.plotting.orbits import draw_multipliers
 from hamsym.plotting.sections import _directions
-from hamsym.plotting.spectra import draw_multipliers
 from hamsym.proof.arithmetic.ball import Ball
 from hamsym.proof.boxes.box_certificate import BoxCertificate
 from hamsym.proof.windows.certificate import Certificate

@@ -17,7 +17,7 @@ from matplotlib.font_manager import FontProperties
 import hamsym
 from hamsym.errors import InputError
 from hamsym.plotting.captions import caption_words, parameter_words
-from hamsym.plotting.figure import Figure, label, wrapped_words
+from hamsym.plotting.figure import Figure, label, one_panel, wrapped_words
 from hamsym.plotting.names import (
     known_name,
     math_name,
@@ -33,7 +33,6 @@ from hamsym.plotting.style import (
     line_style,
     line_styles,
     positive,
-    style_for,
     styled,
 )
 
@@ -115,9 +114,9 @@ def test_words_are_broken_at_the_width() -> None:
 
 def test_axes_of_the_user_keep_their_style() -> None:
     with matplotlib.rc_context({"lines.linewidth": 7.0}):
-        with style_for(object()):
+        with one_panel(matplotlib.figure.Figure().subplots()):
             assert matplotlib.rcParams["lines.linewidth"] == 7.0
-        with style_for(None):
+        with one_panel(None):
             assert matplotlib.rcParams["lines.linewidth"] == 1.0
 
 
@@ -142,7 +141,8 @@ def test_logarithmic_values_keep_small_ones() -> None:
 
 
 def test_long_lists_of_parameters_are_counted() -> None:
-    words = parameter_words({f"k{i}": float(i) for i in range(12)})
+    H = hamsym.Hamiltonian("p**2/2 + x**2/2")
+    words = parameter_words(H, {f"k{i}": float(i) for i in range(12)})
     assert " ".join(words).endswith("and 2 more parameters")
 
 

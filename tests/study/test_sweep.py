@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import hamsym
-from hamsym.study import processes, runs
+from hamsym.study import runs
 from hamsym.study.compare import measure
 from hamsym.support.locking import LOCK
 
@@ -61,8 +61,8 @@ def test_interrupted_run_begins_again(tmp_path, monkeypatch):
 
     settings = {"Adam": replace(ADAM, epochs=50)}
     with monkeypatch.context() as patch:
-        patch.setattr(processes, "_REPORT_EVERY", 0.0)
-        patch.setattr(processes.Board, "put", interrupt)
+        patch.setattr(runs, "_REPORT_EVERY", 0.0)
+        patch.setattr(runs.Board, "put", interrupt)
         with pytest.raises(KeyboardInterrupt):
             _sweep(tmp_path, settings, seeds=1)
     assert _files(tmp_path) == []

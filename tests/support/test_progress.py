@@ -11,7 +11,7 @@ import pytest
 
 from hamsym.networks.progress import training_progress
 from hamsym.networks.record import TrainingState
-from hamsym.study.processes import Board
+from hamsym.study.runs import Board
 from hamsym.support import progress
 from hamsym.support.progress import notebook_display, share_progress, stepping_progress
 

@@ -19,6 +19,7 @@ import hamsym
 from hamsym.cli.commands import main
 from hamsym.errors import HamsymError, InputError, ParseError
 from hamsym.workbench.explore import session, tasks
+from hamsym.workbench.explore.messages import Setting, usual_state
 from hamsym.workbench.explore.session import (
     FIRST,
     MOST_TABS,
@@ -27,7 +28,6 @@ from hamsym.workbench.explore.session import (
     Sessions,
     excerpt,
 )
-from hamsym.workbench.explore.setting import Setting, usual_state
 from hamsym.workbench.mathml import mathml
 
 
@@ -60,7 +60,7 @@ def tab(monkeypatch) -> Session:
 
 
 def test_derivation_has_names_equations_and_facts():
-    found = tasks.derive("p**2/(2*m) + k*x**2/2", "", "", "p = -c*p")
+    found = tasks.derive(Setting("p**2/(2*m) + k*x**2/2", forces="p = -c*p"))
     assert found.names == ("x", "p")
     assert found.parameter_names == ("c", "k", "m")
     assert found.facts.endswith("energy not conserved: forces act.")
@@ -68,9 +68,9 @@ def test_derivation_has_names_equations_and_facts():
 
 
 def test_hessian_of_many_variables_is_a_list():
-    small = tasks.derive("p**2/2 + x**2/2", "", "", "")
+    small = tasks.derive(Setting("p**2/2 + x**2/2"))
     assert "<mtable>" in small.hessian
-    many = tasks.derive("sum(i,1,6,p[i]**2/2 + x[i]**4)", "", "", "")
+    many = tasks.derive(Setting("sum(i,1,6,p[i]**2/2 + x[i]**4)"))
     assert "<mtable>" not in many.hessian
     assert many.hessian.count("<math") == 12
 
@@ -91,7 +91,7 @@ def test_mathml_is_well_formed_and_short():
 )
 def test_unusable_forces_are_refused(forces, message):
     with pytest.raises(InputError, match=message):
-        tasks.derive("p**2/2 + x**2/2", "", "", forces)
+        tasks.derive(Setting("p**2/2 + x**2/2", forces=forces))
 
 
 HOSTILE = [
@@ -135,7 +135,7 @@ def test_excerpt_of_a_long_formula_is_short():
 @pytest.mark.parametrize("name", ["henon_heiles", "paul_trap", "driven_duffing", "toda_chain"])
 def test_examples_of_the_catalogue_are_complete(name):
     setting = tasks.example(name)
-    found = tasks.derive(setting.formula, setting.q, setting.p, setting.forces)
+    found = tasks.derive(setting)
     problem = getattr(hamsym.systems, name)()
     assert found.names == problem.H.names
     assert tuple(setting.z0.values()) == tuple(problem.z0)
@@ -292,7 +292,7 @@ def test_second_button_waits_for_none(tab, monkeypatch):
             await tab.job("exponents", 30.0, 5.0)
         await first
 
-    from hamsym.workbench.explore.results import JobResult
+    from hamsym.workbench.explore.messages import JobResult
 
     monkeypatch.setattr(tasks, "certify", lambda *_: JobResult("proven"))
     asyncio.run(press_both())
@@ -332,7 +332,7 @@ def test_file_of_the_solution_can_be_loaded(tmp_path):
 
 @pytest.mark.parametrize("backend", ["torch", "numpy", "numba", "c", "julia", "javascript"])
 def test_code_is_that_of_the_hamiltonian(backend):
-    text = tasks.code(FIRST.formula, "", "", "", backend)
+    text = tasks.code(FIRST, backend)
     assert text == hamsym.Hamiltonian(FIRST.formula).source(backend).rstrip("\n") + "\n"
 
 

@@ -19,7 +19,7 @@ import hamsym
 from hamsym import Hamiltonian, InputError
 from hamsym.cli.commands import main
 from hamsym.errors import CodeGenerationError
-from hamsym.workbench.lessons.moving import moving
+from hamsym.workbench.lessons.problem import moving
 from hamsym.workbench.lessons.start import proposed_start
 
 SPRING = "p**2/2 + k*x**2/2"

@@ -17,7 +17,7 @@ import hamsym
 from hamsym import CertificationError, FileError, InputError
 from hamsym.cli.commands import main
 from hamsym.workbench.mathml import mathml
-from hamsym.workbench.reports.comparing import compared_within
+from hamsym.workbench.reports.contents import compared_within
 from hamsym.workbench.reports.inline_svg import inline_svg
 
 DUFFING = "p**2/2 + x**2/2 + x**4/4"

@@ -40,10 +40,8 @@ class Film:
         self._motion, self._scene, self._times = motion, scene, times
         every = max(1, math.ceil(_SAMPLES / len(times))) if tail and scene.traced else 1
         start, end = motion.span
-        if motion.closed:
-            fine = np.linspace(start, end, len(times) * every, endpoint=False)
-        else:
-            fine = np.linspace(start, end, (len(times) - 1) * every + 1)
+        count = (len(times) - 1) * every + (every if motion.closed else 1)
+        fine = np.linspace(start, end, count, endpoint=not motion.closed)
         fine[::every] = times
         states = motion.at(fine)
         self.states = states[::every]
@@ -103,25 +101,18 @@ class Film:
             axis.add_collection(lines)
         sizes = np.full((members, points), 45.0 if points * members <= 12 else 18.0)
         sizes[:, list(scene.pivots)] = 10.0
+        start, colors = np.zeros(members * points), self._colors.reshape(-1, 4)
         self._dots = axis.scatter(
-            np.zeros(members * points),
-            np.zeros(members * points),
-            s=sizes.ravel(),
-            color=self._colors.reshape(-1, 4),
-            zorder=3,
-            animated=True,
+            start, start, s=sizes.ravel(), color=colors, zorder=3, animated=True
         )
         for number, name in enumerate(named):
             axis.plot([], [], "o", color=self._colors[0, number], label=name)
         if named:
             left = len(scene.points) - len(named)
             axis.plot([], [], alpha=0, label=f"and {left} more") if left else None
-            place: dict[str, Any] = {
-                "loc": "lower right",
-                "bbox_to_anchor": (1.0, 1.0),
-                "borderaxespad": 0.2,
-            }
-            axis.legend(**place, ncols=_COLUMNS, frameon=False, columnspacing=0.8, handletextpad=0)
+            place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0)}
+            place |= {"borderaxespad": 0.2, "columnspacing": 0.8, "handletextpad": 0}
+            axis.legend(**place, ncols=_COLUMNS, frameon=False)
         self._time = axis.set_title(self.time_text(self._times[-1]), loc="left", fontsize=9)
         self.figure.set_caption(caption_words(self._motion.H, *notes), self._motion.failure)
         self.figure.draw_without_rendering()

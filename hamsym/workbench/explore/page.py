@@ -13,9 +13,8 @@ from nicegui import events, ui
 
 from hamsym.errors import HamsymError, InputError
 from hamsym.systems.catalogue import CATALOGUE
-from hamsym.workbench.explore.results import Motion, Verdict
+from hamsym.workbench.explore.messages import Motion, Setting, Verdict
 from hamsym.workbench.explore.session import SPAN, Latest, Session, Sessions, excerpt
-from hamsym.workbench.explore.setting import Setting
 from hamsym.workbench.explore.tab_panels import (
     CodePanel,
     build_comparison,

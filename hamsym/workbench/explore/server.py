@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from hamsym.errors import InputError
 from hamsym.workbench.explore.access import Guard, new_token
-from hamsym.workbench.explore.setting import Setting
+from hamsym.workbench.explore.messages import Setting
 
 _HOST = "127.0.0.1"
 

@@ -12,16 +12,13 @@ from typing import Any
 from hamsym.errors import HamsymError, InputError
 from hamsym.parallel.processes import Worker
 from hamsym.workbench.explore import tasks
-from hamsym.workbench.explore.results import Derivation, JobResult, Motion, Verdict
-from hamsym.workbench.explore.setting import Setting
+from hamsym.workbench.explore.messages import Derivation, JobResult, Motion, Setting, Verdict
 
 FIRST = Setting("p**2/2 + x**2/2 + x**4/4", z0={"x": 1.3, "p": 1.0}, span=(0.0, 20.0))
 _LIVE_LIMIT = 15.0  # seconds of what is drawn while a slider moves
 _FILE_LIMIT = 240.0  # the comparison of a report alone may take a minute
 _FIRST_LIMIT = 90.0  # with the start of a process and the import of hamsym on a busy machine
 _CONTEXT = 40  # characters around an invalid token
-
-_Key = tuple[str, str, str, str]
 
 
 class Latest:
@@ -84,11 +81,6 @@ class Session:
         for worker in (self._live, self._background, self._button):
             worker.close()
 
-    @property
-    def _key(self) -> _Key:
-        setting = self.setting
-        return setting.formula, setting.q, setting.p, setting.forces
-
     async def _call(self, worker: Worker, task: str, seconds: float, *arguments: Any) -> Any:
         return await asyncio.to_thread(worker.run, getattr(tasks, task), seconds, *arguments)
 
@@ -108,13 +100,10 @@ class Session:
     async def set_formula(self, formula: str, q: str = "", p: str = "", forces: str = "") -> None:
         """Take a new formula; values of names that stay are kept, if the reader chose them.
 
-        Raises
-        ------
-        HamsymError
-            If it cannot be used; the setting stays as it is.
+        Raise HamsymError if it cannot be used; the setting stays as it is.
         """
-        derivation = await self._call_live("derive", formula, q, p, forces)
         setting = replace(self.setting, formula=formula, q=q, p=p, forces=forces)
+        derivation = await self._call_live("derive", setting)
         known = all(name in setting.z0 for name in derivation.names)
         setting = setting.with_names(derivation.names, derivation.parameter_names)
         if not (known and self._moved):
@@ -125,9 +114,7 @@ class Session:
     async def set_example(self, name: str) -> None:
         """Take a system of the catalogue with its values."""
         setting = await self._call_live("example", name)
-        derivation = await self._call_live(
-            "derive", setting.formula, setting.q, setting.p, setting.forces
-        )
+        derivation = await self._call_live("derive", setting)
         setting = setting.with_names(derivation.names, derivation.parameter_names)
         self.setting, self.derivation, self._moved = setting, derivation, True
 
@@ -165,18 +152,9 @@ class Session:
     async def number(self, text: str) -> float:
         """Return the value of a typed number, which may be a formula such as ``4*pi``.
 
-        Raises
-        ------
-        HamsymError
-            If it is none.
+        Raise HamsymError if it is none.
         """
-        try:
-            value = float(text)
-        except ValueError:
-            return await self._call_live("number", text)
-        if not math.isfinite(value):
-            raise InputError(f"'{text}' is not a finite number; write for example 1.3 or 4*pi")
-        return value
+        return await self._call_live("number", text)
 
     # -- what is drawn -------------------------------------------------------------------------
 
@@ -190,17 +168,14 @@ class Session:
 
     async def code(self, backend: str) -> str:
         """Return the generated code of a backend."""
-        return await self._call_live("code", *self._key, backend)
+        return await self._call_live("code", self.setting, backend)
 
     # -- buttons and files ---------------------------------------------------------------------
 
     async def job(self, task: str, seconds: float, *arguments: Any) -> JobResult:
         """Carry out what a button asks for; :meth:`cancel` ends it.
 
-        Raises
-        ------
-        HamsymError
-            If it fails, or another one is running.
+        Raise HamsymError if it fails, or another one is running.
         """
         if self._busy:
             raise HamsymError("another computation of this tab is running; cancel it first")

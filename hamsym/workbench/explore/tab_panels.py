@@ -12,7 +12,7 @@ from nicegui import ui
 from hamsym.codegen.backends import BACKENDS
 from hamsym.errors import HamsymError
 from hamsym.integrators.table import INTEGRATORS
-from hamsym.workbench.explore.results import JobResult
+from hamsym.workbench.explore.messages import JobResult
 from hamsym.workbench.explore.session import Session
 
 _HIDDEN = "balls"  # a backend for proofs, which no program of the reader runs
@@ -60,15 +60,14 @@ def _notify(session: Session, error: HamsymError) -> None:
 def build_proof(session: Session) -> None:
     """Build the panel that certifies."""
     ui.label("Prove bounds on the error of this solution, from both sides.")
-    _JobPanel(session, "certify", lambda seconds: (seconds,)).build("Certify")
+    _JobPanel(session, "certify", "Certify", lambda seconds: (seconds,))
 
 
 def build_exponents(session: Session) -> None:
     """Build the panel of the Lyapunov exponents."""
     ui.label("Lyapunov exponents: how fast do trajectories from nearby starts part?")
     spans = ui.number("Time, in time spans", value=50, min=1, max=1e6).props("dense outlined")
-    panel = _JobPanel(session, "exponents", lambda _: (float(spans.value or 50),))
-    panel.build("Compute exponents")
+    _JobPanel(session, "exponents", "Compute exponents", lambda _: (float(spans.value or 50),))
 
 
 def build_comparison(session: Session) -> None:
@@ -77,7 +76,7 @@ def build_comparison(session: Session) -> None:
     methods = ui.select(
         list(INTEGRATORS), label="Integrators (none: the usual ones)", multiple=True, value=[]
     ).props("dense outlined options-dense use-chips")
-    _JobPanel(session, "comparison", lambda _: (tuple(methods.value or ()),)).build("Compare")
+    _JobPanel(session, "comparison", "Compare", lambda _: (tuple(methods.value or ()),))
 
 
 def build_downloads(session: Session) -> None:
@@ -127,12 +126,9 @@ class _JobPanel:
     """A button whose answer takes time, with its limit, progress and cancellation."""
 
     def __init__(
-        self, session: Session, task: str, arguments: Callable[[float], tuple[Any, ...]]
+        self, session: Session, task: str, title: str, arguments: Callable[[float], tuple[Any, ...]]
     ) -> None:
         self._session, self._task, self._arguments = session, task, arguments
-
-    def build(self, title: str) -> None:
-        """Build the elements in the present panel."""
         with ui.element("div").classes("choices"):
             self._limit = ui.number("Time limit in s", value=120, min=1, max=86_400).props(
                 "dense outlined"

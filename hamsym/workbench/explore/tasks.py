@@ -20,12 +20,11 @@ from hamsym.errors import CodeGenerationError, InputError
 from hamsym.formula.parser import parse_number
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.systems.catalogue import CATALOGUE
-from hamsym.workbench.equations import equations
-from hamsym.workbench.explore.results import Derivation, JobResult, Motion, Verdict
-from hamsym.workbench.explore.setting import Setting
+from hamsym.workbench.explore.messages import Derivation, JobResult, Motion, Setting, Verdict
 from hamsym.workbench.lessons.lesson import system_code, usual_range
 from hamsym.workbench.lessons.problem import problem
 from hamsym.workbench.lessons.start import proposed_start
+from hamsym.workbench.mathml import equations
 
 _TIMES = 500  # of the energy error
 _ROWS = 2_001  # of the table of states
@@ -57,14 +56,19 @@ def _forces(text: str) -> dict[str, str]:
     return found
 
 
+def _free(setting: Setting) -> Hamiltonian:
+    """Return H without the values of parameters."""
+    return _hamiltonian(setting.formula, setting.q, setting.p, setting.forces)
+
+
 def _bound(setting: Setting) -> Hamiltonian:
-    H = _hamiltonian(setting.formula, setting.q, setting.p, setting.forces)
+    H = _free(setting)
     return H.with_parameters(**setting.parameters) if setting.parameters else H
 
 
-def derive(formula: str, q: str, p: str, forces: str) -> Derivation:
+def derive(setting: Setting) -> Derivation:
     """Derive equations and Hessian of a formula."""
-    H = _hamiltonian(formula, q, p, forces)
+    H = _free(setting)
     facts = H.facts
     cyclic = facts["cyclic"]
     said = facts.headline + (f"; {cyclic.label} {cyclic.text}" if cyclic.text else "")
@@ -84,9 +88,9 @@ def _lines(*formulas: str) -> str:
     return "".join(f'<div class="line">{formula}</div>' for formula in formulas if formula)
 
 
-def code(formula: str, q: str, p: str, forces: str, backend: str) -> str:
+def code(setting: Setting, backend: str) -> str:
     """Return the generated code of a backend."""
-    return _hamiltonian(formula, q, p, forces).source(backend).rstrip("\n") + "\n"
+    return _free(setting).source(backend).rstrip("\n") + "\n"
 
 
 def number(text: str) -> float:

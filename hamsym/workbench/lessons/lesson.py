@@ -23,8 +23,8 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.solution.solution import Solution
 from hamsym.solving.recipe import python_lines
 from hamsym.support.suggestions import unknown
-from hamsym.workbench.equations import equations
 from hamsym.workbench.lessons.problem import problem
+from hamsym.workbench.mathml import equations
 from hamsym.workbench.page_templates import page_template
 
 _LARGEST = 300_000  # bytes

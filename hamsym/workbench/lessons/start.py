@@ -43,13 +43,12 @@ def proposed_start(
     >>> proposed_start(H, (0, 20))
     {'x': 0.25, 'y': 0.135, 'p_x': 0.0, 'p_y': 0.1675}
     """
-    tried = list(first) if first is not None else None
-    for state in _candidates(H, span[0], tried):
-        if tried is None:
-            tried = state
+    tried: list[list[float]] = []
+    for state in _candidates(H, span[0], first):
+        tried.append(state)
         if _stays(H, state, span):
             return dict(zip(H.names, state, strict=True))
-    return dict(zip(H.names, tried or [], strict=True))
+    return dict(zip(H.names, tried[0], strict=True))
 
 
 def _candidates(

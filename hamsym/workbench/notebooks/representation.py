@@ -2,21 +2,28 @@
 
 Input:  any result of the package.
 Output: HTML of a few kilobytes with a small figure, all texts escaped.
+
+A card is what it says, first what a physicist asks: the facts that a result contains; those that
+take a computation are left out.
 """
 
 from __future__ import annotations
 
 import base64
 import io
+import re
 import warnings
+from dataclasses import dataclass
 from typing import Any
 
+import sympy
 from markupsafe import Markup
 
 import hamsym
 from hamsym.facts.describe import describe
-from hamsym.facts.facts import Facts
-from hamsym.workbench.notebooks.cards import card_of
+from hamsym.facts.facts import Cells, Fact, Facts, Formula, Table
+from hamsym.support.text_tables import ROWS
+from hamsym.workbench.mathml import mathml
 from hamsym.workbench.page_templates import page_template
 
 _MOST_DRAWN = 2_000_000  # numbers that the figure of a result may evaluate
@@ -25,6 +32,11 @@ _SHARP = 144  # of a picture that is small
 _LARGEST = 58_000  # characters of a card with its figure
 _LEAST = 20_000  # for the figure, whatever else the card says
 _LONGEST = 2_000  # characters of the text of a result that has no card
+_SIZE = 400  # operations of a formula that is typeset; larger ones are text
+_TEXT = 2_000  # characters of a text
+_LONG = 400  # characters of a sentence that unfolds on a click
+_CODE = 20_000  # characters of generated code
+_PLAIN_NAME = re.compile(r"\w+\Z")
 
 
 def representation(result: Any) -> str:
@@ -99,3 +111,82 @@ def _text(result: Any) -> str:
     except Exception:
         text = type(result).__name__
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
+
+
+# -- cards -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Card:
+    """Contents of the representation of a result."""
+
+    facts: Facts
+    #: As MathML or text, and how many were left out.
+    formulas: list[Markup]
+    more_formulas: str
+    #: Labels and texts.
+    rows: list[tuple[str, str]]
+    tables: list[Cells]
+    #: Sentences below.
+    notes: list[str]
+    #: What unfolds on a click.
+    details: list[Markup]
+
+    @property
+    def headline(self) -> str:
+        """What is read first."""
+        return cut(self.facts.headline or self.facts.message)
+
+
+def card_of(facts: Facts) -> Card:
+    """Return the card of a result."""
+    known = [*facts.given, *facts.contained]
+    shown = [f for f in known if isinstance(f, Fact) and f.text and f.brief]
+    rows = [(fact.label.rstrip(":"), cut(fact.text)) for fact in shown if fact.label]
+    if facts.headline and facts.message:
+        rows.insert(0, ("outcome", cut(facts.message)))
+    sentences = [cut(fact.text) for fact in shown if not fact.label]
+    more = len(facts.formulas) - ROWS
+    return Card(
+        facts,
+        [typeset(formula) for formula in facts.formulas[:ROWS]],
+        f"... and {more:,} equations" if more > 0 else "",
+        rows,
+        [each.cells() for each in known if isinstance(each, Table) and len(each.names)],
+        [text for text in sentences if len(text) <= _LONG],
+        [
+            *(Markup("<p>{}</p>").format(text) for text in sentences if len(text) > _LONG),
+            *(_code(f.value) for f in known if isinstance(f, Fact) and f.name == "source"),
+        ],
+    )
+
+
+def cut(text: str) -> str:
+    """A text on one line, without what is beyond its largest length."""
+    whole = " ".join(text.split())
+    return whole if len(whole) <= _TEXT else f"{whole[:_TEXT]} ..."
+
+
+def typeset(formula: Formula) -> Markup:
+    """An equation as MathML; as text if it is large, or has names that are not plain."""
+    names = {str(symbol) for symbol in formula.expr.free_symbols}
+    names |= {str(function.func) for function in formula.expr.atoms(sympy.Function)}
+    # The printer does not escape names.
+    if not all(map(_PLAIN_NAME.match, names)) or sympy.count_ops(formula.expr) > _SIZE:
+        text = f"{formula.left} = {formula.text}" if formula.left else formula.text
+        return Markup("<code>{}</code>").format(cut(text))
+    start = Markup("<mi>{}</mi><mo>=</mo>").format(formula.left) if formula.left else Markup("")
+    return Markup('<math displaystyle="true">{}{}</math>').format(
+        start, Markup(mathml(formula.expr, formula.notation))
+    )
+
+
+def _code(source: str) -> Markup:
+    """Generated code with colours."""
+    from pygments import highlight
+    from pygments.formatters import HtmlFormatter
+    from pygments.lexers import guess_lexer
+
+    shown = source if len(source) <= _CODE else source[:_CODE] + "\n..."
+    formatter = HtmlFormatter(noclasses=True, nobackground=True)
+    return Markup(highlight(shown, guess_lexer(shown), formatter))

@@ -1,26 +1,39 @@
-"""The contents of a report: numbers and sentences about a solution, as a template shows them."""
+"""The contents of a report: numbers and sentences about a solution, as a template shows them.
+
+How long an integrator takes to reach an error cannot be said beforehand, so that comparisons have a
+process of their own, which ends when their time is over.
+"""
 
 from __future__ import annotations
 
 import importlib.metadata
 import platform
-from dataclasses import dataclass
+import tempfile
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hamsym.archive import load_solution
 from hamsym.errors import HamsymError
 from hamsym.facts.solutions import proof_sentence
-from hamsym.facts.wording import error_text, largest_share, number
-from hamsym.hamiltonian import Hamiltonian
+from hamsym.facts.wording import error_text, evenly, largest_share, number
 from hamsym.numerics.scales import ratios
+from hamsym.parallel.processes import OverTimeError, Worker
 from hamsym.proof.windows.certificate import Certificate
 from hamsym.solution.digest import digest
 from hamsym.solution.solution import Solution
+from hamsym.study.compare import compare
 from hamsym.support.text_tables import share
+from hamsym.workbench.reports.inline_svg import inline_svg
 
 _MOST_WINDOWS = 12  # that are shown
 _PACKAGES = ("numpy", "scipy", "sympy", "numba", "python-flint", "torch", "matplotlib")
+# Integrators, and the share of the time for them: one alone where several take too long.
+_TRIES = {"usual": 0.7, "dop853": 0.3}
+_MOST_STEPS = 1_000_000  # in the search for the steps that reach the error of the solution
 
 
 # -- errors ----------------------------------------------------------------------------------------
@@ -48,7 +61,7 @@ def windows(solution: Solution) -> dict[str, Any] | None:
         return None
     times = solution.record.origin + np.asarray(edges)
     lengths, count = np.abs(np.diff(times)), len(times) - 1
-    chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_WINDOWS)).round().astype(int))
+    chosen = evenly(count, _MOST_WINDOWS)
     sizes, rows = solution.allowed_error, []
     for k in chosen.tolist():
         t = np.linspace(times[k], times[k + 1], 26)[1:-1]
@@ -121,7 +134,48 @@ def versions(solution: Solution) -> list[tuple[str, str]]:
     return found
 
 
-def source(H: Hamiltonian, backend: str, most: int) -> tuple[str, int]:
-    """Return generated code up to a number of lines, and how many lines it has."""
-    lines = H.source(backend).rstrip("\n").splitlines()
-    return "\n".join(lines[:most]) + "\n", len(lines)
+# -- comparisons -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Errors of a solution and of integrators, as a page shows them."""
+
+    #: Errors, and what each integrator needs for the error of the solution: each with ``header``
+    #: and ``rows``.
+    tables: list[dict[str, Any]] = field(default_factory=list)
+    #: The error of the solution, and what it is against.
+    headline: str = ""
+    #: As SVG.
+    figure: str = ""
+    #: Why there is no comparison; empty if there is one.
+    reason: str = ""
+
+
+def compared_within(solution: Solution, seconds: float) -> Compared:
+    """Compare a solution with the usual integrators, for at most some seconds."""
+    with tempfile.TemporaryDirectory(prefix="hamsym-") as folder:
+        file = Path(folder) / "solution"
+        for methods, share in _TRIES.items():
+            try:
+                solution.save(file)
+                with closing(Worker()) as worker:
+                    found: Compared = worker.run(_compared, share * seconds, file, methods)
+            except OverTimeError:
+                continue
+            except HamsymError as error:
+                return Compared(reason=str(error))
+            return found
+    return Compared(reason=f"it was stopped after {seconds:g} s")
+
+
+def _compared(file: Path, methods: str) -> Compared:
+    """Compare the solution of a file."""
+    found = compare(load_solution(file), methods, max_steps=_MOST_STEPS)
+    rows = (f"{row.label} {row.error:.2e}" for row in found.rows)
+    label = f"Errors of the solution and of integrators; the largest are: {', '.join(rows)}"
+    return Compared(
+        [vars(table.cells(None)) for table in found.facts.tables],
+        found.facts.headline,
+        inline_svg(found.plot(), "comparison", label),
+    )

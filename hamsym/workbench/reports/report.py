@@ -32,10 +32,9 @@ from hamsym.solving.recipe import omissions, python_lines
 from hamsym.support.atomic import write_file
 from hamsym.support.suggestions import checked_keywords
 from hamsym.support.validation import require_positive
-from hamsym.workbench.equations import equations
+from hamsym.workbench.mathml import equations
 from hamsym.workbench.page_templates import page_template
 from hamsym.workbench.reports import contents
-from hamsym.workbench.reports.comparing import Compared, compared_within
 from hamsym.workbench.reports.inline_svg import inline_svg
 
 CERTIFICATE = ".certificate"  # ending of the file beside that of a solution
@@ -121,10 +120,11 @@ def report(
     assert isinstance(found, Solution)
     proof = _proof(found, file, certificate, certify, time_limit)
     if compare:
-        compared = compared_within(found, _COMPARE_SECONDS)
+        compared = contents.compared_within(found, _COMPARE_SECONDS)
     else:
-        compared = Compared(reason="it was not asked for")
-    code, lines = contents.source(found.H, backend, _MOST_LINES)
+        compared = contents.Compared(reason="it was not asked for")
+    lines = found.H.source(backend).rstrip("\n").splitlines()
+    code = "\n".join(lines[:_MOST_LINES]) + "\n"
     text = page_template("report").render(
         title=title or "Solution of Hamilton's equations",
         notes=[part.strip() for part in notes.split("\n\n") if part.strip()],
@@ -135,7 +135,7 @@ def report(
         compared=compared,
         comparison=Markup(compared.figure),
         code=_colored(code, _LANGUAGES[BACKENDS[backend].extension]),
-        code_lines=lines,
+        code_lines=len(lines),
         most_lines=_MOST_LINES,
         backend=backend,
         again=_again(found, target, proof),

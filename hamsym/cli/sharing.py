@@ -1,7 +1,8 @@
-"""Commands that write what others read: export, report."""
+"""Commands that show and share: export, report, explore."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -79,9 +80,9 @@ def _certificate(path: Path, solution: Any) -> Any:
 def check_export(path: str | None) -> None:
     """Raise InputError if an export could not be written, before hours of work."""
     if path is not None:
-        from hamsym.exporting.export import check_target
+        from hamsym.exporting.export import checked_target
 
-        check_target(path)
+        checked_target(path)
         check_directory(path)
 
 
@@ -128,3 +129,29 @@ def report(file: str, output: str | None, **options: Any) -> Report:
     proven = proof.certificate
     values = {"proof": proof.sentence, "digest": None if proven is None else proven.digest}
     return Report(proof.sentence, values, proven is not None or not options["certify"], [path])
+
+
+@command(
+    "Serve a page: type H, move sliders, see what follows.",
+    "hamsym explore",
+    'hamsym explore "p**2/2 - cos(x)" --port 8123 --no-browser',
+)
+@click.argument("formula", metavar="[H]", default="")
+@click.option("--port", default=0, show_default="a free one", help="Port on 127.0.0.1.")
+@click.option("--browser/--no-browser", default=True, help="Open the page in the browser.")
+@click.pass_context
+def explore(context: click.Context, formula: str, port: int, browser: bool) -> None:
+    """Serve a page in the browser: type H, move sliders, see what follows.
+
+    The page is for this machine alone: it needs the address that is printed, with its token. Ctrl-C
+    ends it. It needs pip install "hamsym[explore]".
+    """
+    from hamsym.workbench.explore.server import explore as serve
+
+    as_json = context.meta.get("hamsym.json", False)
+
+    def announce(address: str) -> None:
+        click.echo(json.dumps({"address": address}) if as_json else address)
+        click.echo("Ctrl-C ends it.", err=True)
+
+    serve(formula, port=port, browser=browser, announce=announce)
