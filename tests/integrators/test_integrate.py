@@ -16,7 +16,7 @@ import scipy.optimize
 import hamsym
 from hamsym import Hamiltonian, InputError
 from hamsym.errors import SeparabilityError, StepSizeWarning
-from hamsym.integrators import stepper
+from hamsym.integrators import adaptive, stepper
 from hamsym.integrators.adaptive import reference
 from hamsym.integrators.coefficients import Doubled, Splitting
 from hamsym.integrators.energy_drift import EnergyDrift
@@ -976,3 +976,13 @@ def test_loops_over_terms_match_written_out_steps() -> None:
     _, M = step_map(Problem("bodies", H, tuple(starts[0]), (0.0, 1.0), ""), "forest_ruth", h)
     J = np.array(H.poisson_matrix, dtype=float)
     assert np.abs(M.T @ J @ M - J).max() < 1e-10 * np.linalg.norm(M, 2) ** 2
+
+
+def test_dop853_ends_after_too_many_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(adaptive, "_MOST", 3_000)
+    monkeypatch.setattr(adaptive, "_MOST_ROUGH", 3_000)
+    found = hamsym.integrate("p**2/2 + x**2/2", [1.0, 0.0], (0, 1e12), "dop853", steps=10)
+    assert not found.success
+    assert "more than 3,000 evaluations; give a shorter span" in found.message
+    with pytest.raises(InputError, match="3,000 evaluations; use a shorter span"):
+        reference("p**2/2 + x**2/2", np.array([1.0, 0.0]), (0, 1e12))
