@@ -499,3 +499,12 @@ def test_saddles_whose_coordinates_have_units_of_their_own(guess: list[list[floa
     saddles = [each for each in found if each.z[0] > 0.5]
     assert [each.type for each in saddles] == ["saddle-centre"]
     np.testing.assert_allclose(saddles[0].frequencies, math.sqrt(3), rtol=1e-14)
+
+
+@pytest.mark.parametrize("box", [None, {"x": (-3, 3), "p": (-1, 1)}])
+def test_powers_too_long_for_fractions(box: dict[str, tuple[float, float]] | None) -> None:
+    """0.999999999999**1e12, which is about 1/e, has 5e13 bits."""
+    values = {"k": 0.999999999999, "m": 1e12}
+    found = equilibria(Hamiltonian("p**2/2 - k**m*x**2/2 + x**4", parameters=values), box=box)
+    assert len(found) == 3
+    assert max(each.z[0] for each in found) == pytest.approx(math.exp(-0.5) / 2, rel=1e-4)
