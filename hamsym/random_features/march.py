@@ -333,7 +333,8 @@ class _Marching:
         self._floors = np.maximum(self._floors, _AHEAD * np.max(states, axis=0))
         self._clock[:] = self._start, self._whole, 0.0
         self._counts[[0, 2, 3]] = 0
-        self._sizes[:] = self._known = np.abs(z0)
+        self._known = np.abs(z0)
+        self._sizes[:] = np.abs(z0)
         self._tail[:, 1:], self._tail[:, 0] = 0.0, self._rate
 
     def _check(self) -> Failure | None:
