@@ -193,8 +193,8 @@ def equilibrating(matrices: np.ndarray) -> np.ndarray:
 
     Examples
     --------
-    >>> equilibrating(np.array([[0.0, 8.0], [8.0, 4.0]])).round(2)
-    array([0.25, 0.5 ])
+    >>> equilibrating(np.array([[0.0, 4.0], [4.0, 16.0]])).round(2)
+    array([1.  , 0.25])
     """
     scale = np.ones(matrices.shape[:-1])
     with np.errstate(all="ignore"):
