@@ -287,13 +287,14 @@ def _largest(values):
 
 
 @njit(error_model="numpy", nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _newton(z, time, h, q_first, parameters, slopes, mixed, matrix, pivots):
+def _newton(z, time, h, q_first, parameters, slopes, mixed, matrix, pivots, units):
     """Solve the implicit half of a step for q (for p unless q_first), in place.
 
-    Returns whether the iteration converged, and the number of evaluations.
+    Pivots and the convergence are those in units of the components. Returns whether the iteration
+    converged, and the number of evaluations.
     """
     at, h = (0, h) if q_first else (DOF, -h)
-    unknown = z[0, at : at + DOF]
+    unknown, units = z[0, at : at + DOF], units[at : at + DOF]
     old = unknown.copy()
     correction = np.empty(DOF)
     previous = math.inf
@@ -303,23 +304,24 @@ def _newton(z, time, h, q_first, parameters, slopes, mixed, matrix, pivots):
         else:
             _slope_jacobian(z, time, parameters, slopes, mixed)
         for row in range(DOF):
-            correction[row] = unknown[row] - old[row] - h * slopes[row]
+            correction[row] = (unknown[row] - old[row] - h * slopes[row]) / units[row]
             for entry in range(DOF):
                 derivative = mixed[row, entry] if q_first else mixed[entry, row]
+                derivative *= units[entry] / units[row]
                 matrix[row, entry] = (row == entry) - h * derivative
         # Slopes may be small differences of large terms; this is the size of these terms.
         terms = 0.0
         for row in range(DOF):
             value = 0.0
             for entry in range(DOF):
-                value += abs((matrix[row, entry] - (row == entry)) * old[entry])
+                value += abs((matrix[row, entry] - (row == entry)) * old[entry] / units[entry])
             terms = max(terms, value)
         _factor(matrix, pivots)
         _substitute(matrix, pivots, correction)
         for row in range(DOF):
-            unknown[row] -= correction[row]
+            unknown[row] -= correction[row] * units[row]
         change = _largest(correction)
-        scale = terms + _largest(old) + _largest(unknown)
+        scale = terms + _largest(old / units) + _largest(unknown / units)
         # Converged when the corrections are round-off: negligible, or small and no longer
         # shrinking.
         if not math.isfinite(change):
@@ -331,13 +333,14 @@ def _newton(z, time, h, q_first, parameters, slopes, mixed, matrix, pivots):
 
 
 @njit(error_model="numpy", nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _euler_tangents(tangents, second, h, q_first, matrix, pivots):
+def _euler_tangents(tangents, second, h, q_first, matrix, pivots, units):
     """Propagate tangent vectors by the derivative of a step (implicit function theorem)."""
     unknown, given, h = (0, DOF, h) if q_first else (DOF, 0, -h)
     right = np.empty(DOF)
     for row in range(DOF):
         for entry in range(DOF):
             curvature = h * second[given + row, unknown + entry]
+            curvature *= units[unknown + entry] / units[unknown + row]
             matrix[row, entry] = (row == entry) - curvature
     _factor(matrix, pivots)
     for column in range(tangents.shape[1]):
@@ -346,9 +349,10 @@ def _euler_tangents(tangents, second, h, q_first, matrix, pivots):
             for entry in range(DOF):
                 curvature = h * second[given + row, given + entry]
                 right[row] += curvature * tangents[given + entry, column]
+            right[row] /= units[unknown + row]
         _substitute(matrix, pivots, right)
         for row in range(DOF):
-            tangents[unknown + row, column] = right[row]
+            tangents[unknown + row, column] = right[row] * units[unknown + row]
         for row in range(DOF):
             right[row] = tangents[given + row, column]
             for entry in range(DIM):
@@ -361,7 +365,7 @@ def _euler_tangents(tangents, second, h, q_first, matrix, pivots):
 @njit(error_model="numpy", nogil=True, cache=True, no_cfunc_wrapper=True)
 def euler(
     states, low, columns, out, offset, done, starts, sizes, first, saves, save_every,
-    q_first, parameters,
+    q_first, units, parameters,
 ):  # fmt: skip
     """Symplectic Euler: both slopes at (q_n+1, p_n, t_n+1), or else at (q_n, p_n+1, t_n).
 
@@ -384,14 +388,14 @@ def euler(
             for step in range(save_every):
                 time[0] = starts[trajectory] + h * (first + save * save_every + step + q_first)
                 converged, attempts = _newton(
-                    z, time, h, q_first, values, slopes, mixed, matrix, pivots
+                    z, time, h, q_first, values, slopes, mixed, matrix, pivots, units
                 )
                 done[trajectory, 1] += attempts
                 if not converged:
                     break
                 if tangents.shape[1]:
                     _hessian(z, time, values, second)
-                    _euler_tangents(tangents, second[0], h, q_first, matrix, pivots)
+                    _euler_tangents(tangents, second[0], h, q_first, matrix, pivots, units)
                 q, p = read_q(z, 0), read_p(z, 0)
                 if q_first:
                     write_p(z, 0, shift(p, -h, slope(q, p, time[0], values)))
@@ -408,10 +412,14 @@ def euler(
 
 
 @njit(error_model="numpy", nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _stage_matrix(matrix, shares, weights, second, h):
+def _stage_matrix(matrix, shares, weights, second, h, units):
     """Newton's matrix 1 - h a_ij J C_j, where C_j = second[j] is the Hessian at stage j
-    or, with forces, the derivative of -J dz/dt."""
+    or, with forces, the derivative of -J dz/dt. Both are left in units of the components."""
     stages = weights.shape[0]
+    for stage in range(stages):
+        for row in range(DIM):
+            for column in range(DIM):
+                second[stage, row, column] *= units[column] / units[(row + DOF) % DIM]
     for stage in range(stages):
         for other in range(stages):
             factor = shares[stage, other] * h * weights[other]
@@ -427,16 +435,16 @@ def _stage_matrix(matrix, shares, weights, second, h):
 @njit(error_model="numpy", nogil=True, cache=True, no_cfunc_wrapper=True)
 def implicit(
     states, low, columns, out, offset, done, starts, sizes, first, saves, save_every,
-    shares, weights, nodes, continued, parameters,
+    shares, weights, nodes, continued, units, parameters,
 ):  # fmt: skip
     """Implicit Runge-Kutta methods: stages by iteration, where it is slow by Newton's method.
 
     Each row of states contains the state and the rates at the last step's stages, which are
     extrapolated to the initial guess. Iteration goes on while corrections shrink to a third,
-    and the factors of Newton's matrix are kept while they shrink tenfold. The sum over steps is
-    compensated. The coefficients a_ij are shares[i, j] times b_j; shares[i, j] and shares[j, i]
-    add up to 1 exactly, so that the rounded method is symplectic (Antonana, Makazaga & Murua
-    2017).
+    and the factors of Newton's matrix are kept while they shrink tenfold. Corrections and pivots
+    are compared in units of the components. The sum over steps is compensated. The coefficients
+    a_ij are shares[i, j] times b_j; shares[i, j] and shares[j, i] add up to 1 exactly, so that the
+    rounded method is symplectic (Antonana, Makazaga & Murua 2017).
     """
     stages = weights.shape[0]
     increments = np.empty((stages, DIM))
@@ -491,7 +499,7 @@ def implicit(
                     done[trajectory, 1] += stages
                     if newton and stale:
                         _rate_curvature(points, times, values, second)
-                        _stage_matrix(matrix, shares, weights, second, h)
+                        _stage_matrix(matrix, shares, weights, second, h, units)
                         _factor(matrix, pivots)
                         # Slopes may be small differences of large terms; these are their sizes.
                         terms[:] = 0.0
@@ -500,7 +508,7 @@ def implicit(
                                 value = 0.0
                                 for column in range(DIM):
                                     term = second[stage, row, column] * points[stage, column]
-                                    value += abs(term)
+                                    value += abs(term / units[column])
                                 half = 1 - row // DOF
                                 terms[half] = max(terms[half], abs(h) * value)
                     for stage in range(stages):
@@ -508,7 +516,7 @@ def implicit(
                             value = increments[stage, component]
                             for other in range(stages):
                                 value -= shares[stage, other] * impulses[other, component]
-                            right[stage * DIM + component] = value
+                            right[stage * DIM + component] = value / units[component]
                     if newton:
                         _substitute(matrix, pivots, right)
                     # Corrections relative to the state, coordinates and momenta by themselves.
@@ -518,12 +526,11 @@ def implicit(
                         scale = max(1e-300, terms[half])
                         for component in range(half * DOF, (half + 1) * DOF):
                             for stage in range(stages):
-                                correction = right[stage * DIM + component]
-                                increments[stage, component] -= correction
+                                correction, unit = right[stage * DIM + component], units[component]
+                                increments[stage, component] -= correction * unit
                                 largest = max(largest, abs(correction))
-                                scale = max(
-                                    scale, abs(points[stage, component]), abs(state[component])
-                                )
+                                size = max(abs(points[stage, component]), abs(state[component]))
+                                scale = max(scale, size / unit)
                                 if not math.isfinite(correction):
                                     largest = math.inf
                         change = max(change, largest / scale)
@@ -551,20 +558,23 @@ def implicit(
                 if tangents.shape[1]:
                     # The derivative of the step, by the implicit function theorem.
                     _rate_curvature(points, times, values, second)
-                    _stage_matrix(matrix, shares, weights, second, h)
+                    _stage_matrix(matrix, shares, weights, second, h, units)
                     _factor(matrix, pivots)
                     for column in range(tangents.shape[1]):
                         for stage in range(stages):
                             for component in range(DIM):
-                                right[stage * DIM + component] = tangents[component, column]
+                                part = tangents[component, column] / units[component]
+                                right[stage * DIM + component] = part
                         _substitute(matrix, pivots, right)
                         for other in range(stages):
-                            factor = h * weights[other]
                             moved = right[other * DIM : (other + 1) * DIM]
                             for row in range(DOF):
+                                factor = h * weights[other] * units[row]
                                 for entry in range(DIM):
                                     curvature = factor * second[other, DOF + row, entry]
                                     tangents[row, column] += curvature * moved[entry]
+                                factor = h * weights[other] * units[DOF + row]
+                                for entry in range(DIM):
                                     curvature = factor * second[other, row, entry]
                                     tangents[DOF + row, column] -= curvature * moved[entry]
                 for component in range(DIM):

@@ -26,6 +26,7 @@ from hamsym.dynamics.newton_starts import converged_points, default_starts
 from hamsym.errors import InputError, ParameterError, VariableError
 from hamsym.formula.parser import canonical_name
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
+from hamsym.numerics.scales import equilibrium_sizes
 from hamsym.proof.limits import Deadline
 from hamsym.support.suggestions import checked_keywords, did_you_mean
 from hamsym.support.validation import require_positive, require_whole
@@ -201,7 +202,7 @@ def _by_default(H: Hamiltonian) -> Equilibria:
             )
         return _symbolic_only(H, solutions)
     turns = {i: float(period) for i, period in periods(form).items()}
-    finder = Finder(H, np.ones(H.dim))
+    finder = Finder(H)
     found: list[Equilibrium] = []
     for values in solutions:
         each = _at_solution(finder, values)
@@ -270,7 +271,8 @@ def _at_solution(finder: Finder, values: _Values) -> Equilibrium | None:
 
 def _from_guesses(H: Hamiltonian, starts: np.ndarray) -> Equilibria:
     sizes = np.abs(starts).max(axis=0)
-    finder = Finder(H, np.where(sizes > 0, sizes, 1.0))
+    natural = equilibrium_sizes(H.compile("numpy").at("hessian", starts[0]), sizes)
+    finder = Finder(H, np.where(sizes > 0, sizes, natural))
     found: list[Equilibrium] = []
     failed = 0
     for start in starts:

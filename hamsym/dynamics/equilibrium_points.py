@@ -22,6 +22,7 @@ from hamsym.dynamics.linear_stability import LinearStability, linear_stability, 
 from hamsym.dynamics.newton_starts import Candidates, continues
 from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.numerics.scales import equilibrium_sizes
 from hamsym.proof.arithmetic.ball import Ball
 from hamsym.proof.arithmetic.balls import above, exact, working
 from hamsym.proof.arithmetic.directed import TINY
@@ -41,12 +42,13 @@ class Finder:
     """Proof and classification of single points.
 
     - H: With a value for every parameter.
-    - sizes: Sizes of the components, shape (dim,).
+    - sizes: Sizes of the components, shape (dim,); by default they follow from each point.
     """
 
-    def __init__(self, H: Hamiltonian, sizes: np.ndarray) -> None:
-        self.H, self.sizes = H, sizes
-        self.candidates = Candidates(H, sizes)
+    def __init__(self, H: Hamiltonian, sizes: np.ndarray | None = None) -> None:
+        self._sized = sizes is not None
+        self.H, self.sizes = H, np.ones(H.dim) if sizes is None else sizes
+        self.candidates = Candidates(H, self.sizes)
         self._balls: list[DerivativeBalls] | None = None
         # Where a function has no enclosure, nothing can be proven.
         with contextlib.suppress(CertificationError):
@@ -107,7 +109,9 @@ class Finder:
         )
 
     def _around(self, z: np.ndarray) -> np.ndarray:
-        return np.maximum(self.sizes, np.abs(z))
+        if self._sized:
+            return np.maximum(self.sizes, np.abs(z))
+        return equilibrium_sizes(self.candidates.derivatives(z)[1], z)
 
     def energy(self, z: np.ndarray) -> float:
         """H at a point."""

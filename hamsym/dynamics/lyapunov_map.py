@@ -51,6 +51,7 @@ _SAMPLED = 50  # states of a path at which the rate is measured
 _RESOLVED = 1.5  # times its first rate that a member's motion may reach
 _FASTER = 8.0  # times by which steps become shorter in one repetition
 _REPETITIONS = 3
+_OCTAVES = 40  # of times after a start at which the linear motion has no rate
 _TESTED_SHARE = 0.9  # tested part of a trajectory that ends early; no step resolves the rest
 
 
@@ -389,12 +390,28 @@ class _Run:
         return np.where(np.isfinite(states).all(axis=-1), rates, 0.0).max(axis=-1)
 
     def _scales(self, index: np.ndarray) -> np.ndarray:
-        """Return the units of the tangent vectors of members, from their starts, (n, dim, 1)."""
+        """Return the units of the tangent vectors of members, from their starts, (n, dim, 1).
+
+        Where the linear motion has no rate at the start, the states are those at constant rates of
+        change after times at whose end it has turned by a radian.
+        """
         system, states = self._members.H.compile("numpy"), self._members.states[index]
-        values = self._members.own_parameters(index)
-        found = system.at("jacobian", states, self._span[0], values)
-        dim = states.shape[1]
+        start, values = self._span[0], self._members.own_parameters(index)
+        dim, there = states.shape[1], states
+        resting = self._fastest(index, states[:, None], start) == 0
+        if resting.any():
+            moving = system.at("vector_field", states, start, values)
+            left = resting.copy()
+            for octave in range(_OCTAVES):
+                time = self._length * 2.0 ** (octave - _OCTAVES + 1)
+                with np.errstate(all="ignore"):
+                    tried = states + np.where(left[:, None], time * moving, 0.0)
+                    turned = self._fastest(index, tried[:, None], start) * time
+                there = np.where(left[:, None], tried, there)
+                left &= ~(turned >= 1)
+        found = system.at("jacobian", there, start, values)
         if found.ndim == 2:  # a constant matrix
             found = found[None]
-        units = np.array([tangent_scales(one) for one in found.reshape(-1, dim, dim)])
+        found = found.reshape(-1, dim, dim)
+        units = np.array([tangent_scales(one, self._length) for one in found])
         return np.broadcast_to(units, states.shape)[..., None]

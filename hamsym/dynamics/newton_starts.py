@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.numerics.scales import equilibrating
 
 _ROUNDS = 100
 _CONVERGED = 1e-13  # of |z| and the size: last step of a simple zero
@@ -42,7 +43,7 @@ class Candidates:
         finite = np.isfinite(slopes).all(axis=-1) & np.isfinite(hessians).all(axis=(-2, -1))
         if finite.any():
             g, h = slopes[finite], hessians[finite]
-            scale = _equilibrating(h)
+            scale = equilibrating(h)
             values, vectors = np.linalg.eigh(h * scale[:, :, None] * scale[:, None, :])
             largest = np.abs(values).max(axis=-1, keepdims=True)
             regular = np.abs(values) > cut * largest
@@ -60,20 +61,11 @@ class Candidates:
         hessian = self.derivatives(z)[1]
         scale = self.sizes
         scaled = hessian * scale[:, None] * scale
-        balance = _equilibrating(scaled[None])[0]
+        balance = equilibrating(scaled[None])[0]
         values, vectors = np.linalg.eigh(scaled * balance[:, None] * balance)
         null = vectors[:, np.abs(values) <= _NULL * np.abs(values).max()]
         columns = (scale * balance)[:, None] * null
         return columns / np.abs(columns / scale[:, None]).max(axis=0, initial=1e-300)
-
-
-def _equilibrating(hessians: np.ndarray) -> np.ndarray:
-    """Factors s with entries of s_i H_ij s_j near 1 in the largest entry of each row."""
-    scale = np.ones(hessians.shape[:-1])
-    for _ in range(4):
-        rows = np.abs(hessians * scale[:, :, None] * scale[:, None, :]).max(axis=-1)
-        scale = scale / np.sqrt(np.where(rows > 0, rows, 1.0))
-    return scale
 
 
 def converged_points(candidates: Candidates, starts: np.ndarray) -> np.ndarray:

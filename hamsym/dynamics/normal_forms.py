@@ -52,6 +52,7 @@ _WANTED = 1e-3
 _PHASES = 24
 # Sizes at which it is compared, powers of two of a unit, and how many of them in an octave.
 _LEAST, _LARGEST, _SIZES = -60, 20, 8
+_FURTHEST = 300  # octaves of the search for the unit, where the normal form has none
 # Round-off of H, in units of its value at the equilibrium, that is less than what is wanted.
 _ROUND_OFF = 1e-14
 
@@ -78,7 +79,8 @@ class NormalForm(Shown):
     statement : str
         What is proven, and why.
     domain : float
-        Estimated size sqrt(2 |I|) of the region in which H is described to one part in a thousand.
+        Estimated size sqrt(2 |I|) of the region in which H is described to one part in a thousand,
+        infinite for quadratic H.
     """
 
     equilibrium: Equilibrium = field(repr=False)
@@ -408,10 +410,10 @@ def _point(balls: DerivativeBalls, z: np.ndarray) -> list[arb]:
 def _domain(H: Hamiltonian, form: NormalForm) -> float:
     """The size of normal coordinates up to which H agrees, estimated at random phases."""
     energy, dof = H.compile("numpy").energy, H.dof
-    random = np.random.default_rng(0)
     round_off = _ROUND_OFF * abs(float(form.hamiltonian(np.zeros(dof))))
 
     def agrees(size: float) -> bool:
+        random = np.random.default_rng(0)
         actions = random.dirichlet(np.ones(dof), _PHASES) * size**2 / 2
         angles = random.uniform(0, 2 * np.pi, (_PHASES, dof))
         radius = np.sqrt(2 * actions)
@@ -424,7 +426,15 @@ def _domain(H: Hamiltonian, form: NormalForm) -> float:
     # The size at which the first term beyond the quadratic one is as large.
     beyond = [abs(ball.mid) for powers, ball in form.coefficients.items() if sum(powers) == 2]
     slowest = np.abs(form.frequencies.mid).min()
-    unit = math.sqrt(slowest / max(beyond)) if any(beyond) else 1.0
+    expr, z = H.real_equations.expr, H.real_equations.z
+    if expr.is_polynomial(*z) and sympy.Poly(expr, *z).total_degree() <= 2:
+        return math.inf
+    if any(beyond):
+        unit = math.sqrt(slowest / max(beyond))
+    else:
+        sizes = (2.0**k for k in range(-_FURTHEST, _FURTHEST))
+        above = itertools.dropwhile(lambda size: not agrees(size), sizes)
+        unit = max(itertools.takewhile(agrees, above), default=1.0)
     low = 0.0
     for octave in np.arange(_LEAST, _LARGEST, 1 / _SIZES):
         size = unit * 2.0**octave

@@ -150,6 +150,9 @@ class Source:
             with np.errstate(all="ignore"):
                 ratio = signal.ratio(z, t)
                 values, error = signal.value(z, t, ratio), signal.error(z, t, ratio, errors)
+                # Of times that float64 rounds, far from zero.
+                rounding = np.spacing(np.abs(t).max()) - np.spacing(np.abs(t - t[0]).max())
+                error += max(rounding, 0.0) * float(np.abs(np.diff(values) / np.diff(t)).max())
                 later = t[:-1] + BETWEEN * np.diff(t)
                 between = signal.value(self.states(place, later), later, ratio)
                 missed = _missed(values, between)

@@ -88,7 +88,8 @@ class TangentSteps:
             dt = min(whole, 1 / (STEPS_PER_RADIAN * rate) if rate > 0 else whole / 20_000)
         number = checked_steps(span[1] - span[0], steps, dt)
         size = (span[1] - span[0]) / number
-        scales = tangent_scales(H.compile("numpy").at("jacobian", path, times))[:, None]
+        jacobians = H.compile("numpy").at("jacobian", path, times)
+        scales = tangent_scales(jacobians, abs(span[1] - span[0]))[:, None]
         return cls(H, method, span, number, size, rate, chosen, scales)
 
     def block(self, growth: float) -> int:

@@ -85,8 +85,9 @@ def fit(
         Bounds of free quantities, each a number or None. An estimate at a bound is no success.
     starts : int
         Number of first guesses: those of ``free``, and others at random, uniform between the
-        bounds, or without two bounds within the size of the guess (1 if it is zero) of it. The best
-        quarter, and eight at least, are refined.
+        bounds, or without two bounds within the size of the guess of it. The best
+        quarter, and eight at least, are refined. A component whose guess is zero has the size that
+        the other guesses give it in the motion, and a parameter 1.
     seed : int
         Of the random guesses.
     confidence : float

@@ -21,6 +21,7 @@ from hamsym.families.many import solve_many
 from hamsym.families.solutions import Solutions
 from hamsym.fitting.unknowns import Unknowns
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.numerics.scales import coupled_sizes
 from hamsym.random_features.members import MemberSolver
 from hamsym.solution.solution import Solution
 from hamsym.solving.solve import solve
@@ -145,17 +146,35 @@ def _is_too_fast(unknowns: Unknowns, values: np.ndarray, span: tuple[float, floa
     return every[1:] > limit
 
 
+def state_sizes(unknowns: Unknowns, span: tuple[float, float]) -> np.ndarray:
+    """Return the sizes of the components at the first guess, with those that others move, (dim,).
+
+    They are 1 where nothing moves.
+    """
+    guess, length = unknowns.guesses[None], abs(span[1] - span[0])
+    coupling = np.abs(_at(unknowns, "jacobian", guess, span[0]))[0]
+    rate = np.nan_to_num(rates(unknowns, guess, span[0]))[0]
+    moved = np.abs(_at(unknowns, "vector_field", guess, span[0])[0])
+    moved = np.nan_to_num(moved * min(length, 1 / rate if rate > 0 else length), posinf=0.0)
+    found = coupled_sizes(np.maximum(np.abs(unknowns.start), moved), coupling, length)
+    return np.where((found > 0) & np.isfinite(found), found, 1.0)
+
+
 def rates(unknowns: Unknowns, values: np.ndarray, start: float) -> np.ndarray:
     """Return the largest sizes of the eigenvalues of J Hess at starts, nan without one, (n,)."""
-    system, rows = unknowns.H.compile("numpy"), unknowns.parameter_rows(values)
-    times = np.full(len(values), start)
-    matrices = system.at("jacobian", unknowns.starts(values), times, rows)
+    matrices = _at(unknowns, "jacobian", values, start)
     shape = (len(values), unknowns.H.dim, unknowns.H.dim)
     matrices = np.broadcast_to(matrices, shape)
     finite = np.isfinite(matrices).all(axis=(1, 2))
     found = np.full(len(values), np.nan)
     found[finite] = np.abs(np.linalg.eigvals(matrices[finite])).max(axis=1)
     return found
+
+
+def _at(unknowns: Unknowns, kind: str, values: np.ndarray, start: float) -> np.ndarray:
+    """Return a function of the compiled H at starts of values (n, k), shape (n or 1, ...)."""
+    system, rows = unknowns.H.compile("numpy"), unknowns.parameter_rows(values)
+    return system.at(kind, unknowns.starts(values), np.full(len(values), start), rows)
 
 
 @dataclass
@@ -175,6 +194,8 @@ class LiftedMotions(SolvedMotions):
         # Directions of parameters have a start too, whose motion is subtracted: a member that
         # starts with no deviation at all has components without a scale.
         self._directions = [i for _, i in sorted(unknowns.components.items())] or [0]
+        _, exponents = np.frexp(state_sizes(unknowns, self.span))
+        self._units = np.ldexp(1.0, exponents)
         self._sizes = {
             name: abs(unknowns.H.parameters[name]) or 1.0 for name in unknowns.free_parameters
         }
@@ -203,8 +224,9 @@ class LiftedMotions(SolvedMotions):
         starts = np.zeros((*shape, 2 * dim))
         starts[..., own] = unknowns.starts(values)[:, None]
         for member, i in enumerate(self._directions):
-            starts[:, member, deviation[i]] = 1.0
-        starts[:, len(self._directions) :, deviation[self._directions[0]]] = 1.0
+            starts[:, member, deviation[i]] = self._units[i]
+        first = self._directions[0]
+        starts[:, len(self._directions) :, deviation[first]] = self._units[first]
         while True:
             given: dict[str, Any] = {
                 name: value[:, None] for name, value in unknowns.parameters(values).items()
@@ -224,7 +246,7 @@ class LiftedMotions(SolvedMotions):
                 break
         slopes = np.empty((len(values), len(self.t), dim, values.shape[1]))
         for member, j in enumerate(sorted(places)):
-            slopes[..., j] = moved[:, member]
+            slopes[..., j] = moved[:, member] / self._units[self._directions[member]]
         for place, (j, name) in enumerate(zip(columns, free, strict=True)):
             slopes[..., j] = responses[:, place] / self._sizes[name]
         return found[:, 0][..., own], slopes
@@ -240,8 +262,8 @@ class LiftedMotions(SolvedMotions):
         changed = False
         with np.errstate(all="ignore"):
             for place, name in enumerate(self._sizes):
-                response = np.abs(responses[:, place]).max(axis=1)
-                sizes = response / np.abs(reference[:, 0]).max(axis=1)
+                response = np.abs(responses[:, place] / self._units).max(axis=1)
+                sizes = response / np.abs(reference[:, 0] / self._units).max(axis=1)
                 ratio = np.where(np.isfinite(sizes), sizes, 0.0).max()
                 if 1e-30 < ratio < _SMALL and self._sizes[name] < _LARGEST:
                     self._sizes[name] /= ratio

@@ -69,7 +69,7 @@ def profiled(
     limit = np.where(signs > 0, unknowns.high[columns], unknowns.low[columns])
     room = np.abs(limit - minima[every, columns])
     # Where a column of J nearly vanishes, the linear model changes its quantity by far too much.
-    reach = np.maximum(np.abs(minima), unknowns.sizes)
+    reach = np.maximum(np.abs(minima), model.sizes)
     sizes = reach[every, columns]
     trace = np.where(np.abs(trace) * first[:, None] <= reach, trace, 0.0)
     inner = _Points(np.zeros(count), np.zeros(count), minima.copy())
@@ -187,7 +187,7 @@ def _least(
         lambda squares, rows: model.variance(squares, sets[rows]),
         _ITERATIONS,
         _BETTER,
-        model.unknowns.sizes[others],
+        model.sizes[others],
     )
     with np.errstate(all="ignore"):
         squares = (found.residuals**2).sum(axis=1)

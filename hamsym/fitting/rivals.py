@@ -145,7 +145,7 @@ def aliased(model: Model, found: Found, variance: np.ndarray, k: int) -> list[st
             unknowns.high,
             lambda squares, rows: model.variance(squares, 0 * rows + k),
         )
-        apart = np.abs(other.unknowns[0] - x) > _APART * np.maximum(np.abs(x), unknowns.sizes)
+        apart = np.abs(other.unknowns[0] - x) > _APART * np.maximum(np.abs(x), model.sizes)
         squares = float((other.residuals[0] ** 2).sum())
         if other.converged[0] and apart.any() and squares - found.chi_square[k] <= 4 * variance[k]:
             return [
@@ -205,4 +205,4 @@ def _powers(model: Model, found: Found, motion: Motion, k: int) -> np.ndarray | 
     change = np.linalg.lstsq(J / lengths, slope, rcond=None)[0] / lengths
     if not np.linalg.norm(J @ change - slope) <= _SCALED * np.linalg.norm(slope):
         return None
-    return np.where(np.abs(x) > 1e-9 * unknowns.sizes, change / np.where(x == 0, 1.0, x), 0.0)
+    return np.where(np.abs(x) > 1e-9 * model.sizes, change / np.where(x == 0, 1.0, x), 0.0)

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from hamsym.errors import InputError
-from hamsym.fitting.motions import Motions
+from hamsym.fitting.motions import Motions, state_sizes
 from hamsym.fitting.observations import Observables, Observations
 from hamsym.fitting.unknowns import Unknowns
 from hamsym.numerics.least_squares import Minima, are_minima, minimize_squares, projections
@@ -52,6 +52,21 @@ class Model:
     def observables(self) -> Observables:
         unknowns = self.unknowns
         return Observables(unknowns.H, self.observed.expressions, unknowns.free_parameters)
+
+    @cached_property
+    def sizes(self) -> np.ndarray:
+        """Sizes of the first guesses, shape (k,).
+
+        A component that is zero has the size that others give it, a parameter that is zero 1.
+        """
+        unknowns = self.unknowns
+        guesses, components = unknowns.guesses, unknowns.components
+        found = np.where(guesses == 0, 1.0, np.abs(guesses))
+        if any(guesses[j] == 0 for j in components):
+            states = state_sizes(unknowns, self.span)
+            for j, i in components.items():
+                found[j] = found[j] if guesses[j] else states[i]
+        return found
 
     def residuals(self, values: np.ndarray, sets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return residuals (n, m) and derivatives (n, m, k) for values (n, k) and their sets."""
@@ -134,7 +149,7 @@ class Model:
                 lambda values, rows: model.residuals(values, 0 * rows),
                 *(found.unknowns, residuals, slopes, unknowns.low, unknowns.high),
                 model.variance((residuals**2).sum(axis=1), np.zeros(1, dtype=int)),
-                unknowns.sizes[None],
+                self.sizes[None],
             )
             converged = found.converged & minimal
         return replace(found, residuals=residuals, jacobian=slopes, converged=converged)
@@ -146,7 +161,7 @@ def search(model: Model, starts: int, seed: int) -> Found:
     Raise InputError if the motion cannot be solved from any start.
     """
     unknowns, sets = model.unknowns, len(model.observed.data)
-    guesses = unknowns.draw(starts, seed)
+    guesses = unknowns.draw(starts, seed, model.sizes)
     if starts > 1:
         squares = model.prospects(guesses)
         _require_motion(model, np.isfinite(squares).any(), guesses)
@@ -162,6 +177,7 @@ def search(model: Model, starts: int, seed: int) -> Found:
         unknowns.low,
         unknowns.high,
         lambda squares, rows: model.variance(squares, owners[rows]),
+        sizes=np.where(first == 0, model.sizes, np.abs(first)),
     )
     with np.errstate(all="ignore"):
         squares = (found.residuals**2).sum(axis=1)

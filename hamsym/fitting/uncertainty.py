@@ -63,11 +63,11 @@ def uncertainty_of(
         errors = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         level = factor * np.sqrt(variance)
         traces = covariance / errors[..., None] ** 2
-        widths = np.where(lost, unknowns.sizes, errors * factor[:, None])
+        widths = np.where(lost, model.sizes, errors * factor[:, None])
     low, high = found.unknowns - widths, found.unknowns + widths
     low[unknown], high[unknown] = -np.inf, np.inf
     fitted = np.isfinite(found.chi_square) & (level > 0) & ~unknown.any(axis=1)
-    reach = np.maximum(np.abs(found.unknowns), unknowns.sizes)
+    reach = np.maximum(np.abs(found.unknowns), model.sizes)
     losing = np.flatnonzero(lost.any(axis=1))
     traces[losing] = np.eye(lost.shape[1])
     curved, rises = _curvature(model, found, np.flatnonzero(fitted), traces, widths, level)

@@ -51,11 +51,6 @@ class Unknowns:
     def free_parameters(self) -> tuple[str, ...]:
         return tuple(name for name in self.names if name not in self.H.names)
 
-    @property
-    def sizes(self) -> np.ndarray:
-        """Sizes of the first guesses, 1 where one is zero, shape (k,)."""
-        return np.where(self.guesses == 0, 1.0, np.abs(self.guesses))
-
     def starts(self, values: np.ndarray) -> np.ndarray:
         """Return the starts for values (n, k), shape (n, dim)."""
         found = np.tile(self.start, (len(values), 1))
@@ -86,15 +81,14 @@ class Unknowns:
         """Return the values of one row as text."""
         return ", ".join(f"{n} = {v:.6g}" for n, v in zip(self.names, values, strict=True))
 
-    def draw(self, count: int, seed: int) -> np.ndarray:
+    def draw(self, count: int, seed: int, sizes: np.ndarray) -> np.ndarray:
         """Return the guesses and further ones at random, shape (count, k).
 
-        Uniform between the bounds, or where there are not two within the size of the guess (1 if
-        it is zero) of it.
+        Uniform between the bounds, or where there are not two within ``sizes`` (k,) of the guess.
         """
         bounded = np.isfinite(self.low) & np.isfinite(self.high)
-        low = np.where(bounded, self.low, np.maximum(self.guesses - self.sizes, self.low))
-        high = np.where(bounded, self.high, np.minimum(self.guesses + self.sizes, self.high))
+        low = np.where(bounded, self.low, np.maximum(self.guesses - sizes, self.low))
+        high = np.where(bounded, self.high, np.minimum(self.guesses + sizes, self.high))
         shares = np.random.default_rng(seed).random((count - 1, len(self.names)))
         return np.vstack((self.guesses, low + shares * (high - low)))
 

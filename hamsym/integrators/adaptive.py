@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,9 +13,11 @@ import scipy
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
+from hamsym.numerics.call_limit import TooManyCallsError, limited
 from hamsym.numerics.scales import floored_sizes
 
 _LEAST = 1e-2  # size of a component relative to what others make of it
+_MOST, _MOST_ROUGH = 10_000_000, 300_000  # evaluations, some minutes, and of low accuracy
 _COUPLINGS = 64  # states at which that is found
 
 
@@ -40,7 +43,12 @@ def reference(
     - returns: t of shape (n,) -> states of shape (n, dim).
     """
     H = Hamiltonian.of(H)
-    result = _dop853(H, H.state_from(z0), span, tolerance, None, dense_output=True)
+    try:
+        result = _dop853(H, H.state_from(z0), span, tolerance, None, dense_output=True)
+    except TooManyCallsError:
+        raise InputError(
+            f"DOP853 takes more than {_MOST:,} evaluations; use a shorter span"
+        ) from None
     if not result.success or not np.all(np.isfinite(result.y)):
         raise InputError(
             f"no solution beyond t = {result.t[-1]:.6g} ({result.message.rstrip('.')}); use an "
@@ -53,7 +61,10 @@ def run_dop853(
     H: Hamiltonian, z0: np.ndarray, times: np.ndarray, rtol: float, atol: float | None
 ) -> tuple[np.ndarray, int, str]:
     """Integrate with scipy's DOP853 and return the states at the given times."""
-    result = _dop853(H, z0, (times[0], times[-1]), rtol, atol, t_eval=times)
+    try:
+        result = _dop853(H, z0, (times[0], times[-1]), rtol, atol, t_eval=times)
+    except TooManyCallsError:
+        return z0[None].copy(), _MOST, f"more than {_MOST:,} evaluations; give a shorter span"
     # If the first step fails, scipy returns an empty list.
     states = np.array(result.y, dtype=float).reshape(H.dim, -1).T
     return states, result.nfev, "" if result.success else result.message
@@ -140,19 +151,33 @@ def _absolute_tolerance(
         # What is zero at the start grows to about its rate times the span.
         grown = np.where((z0 == 0) & np.isfinite(rates), rates * time, 0.0)
         guess = sizes(z0[None], np.array(span[:1]), grown)
-        rough = _dop853(H, z0, span, 1e-3, 1e-3 * guess)
-        states = np.array(rough.y, dtype=float).T
-        if states.size:
-            guess = sizes(states, np.array(rough.t), np.zeros(H.dim))
+        with contextlib.suppress(TooManyCallsError):
+            rough = _dop853(H, z0, span, 1e-3, 1e-3 * guess, calls=_MOST_ROUGH)
+            states = np.array(rough.y, dtype=float).T
+            if states.size:
+                guess = sizes(states, np.array(rough.t), np.zeros(H.dim))
     return np.asarray(0.01 * rtol * guess)
 
 
 def _dop853(
-    H: Hamiltonian, z0: np.ndarray, span: tuple[float, float], rtol: float, atol: Any, **output: Any
+    H: Hamiltonian,
+    z0: np.ndarray,
+    span: tuple[float, float],
+    rtol: float,
+    atol: Any,
+    calls: int | None = None,
+    **output: Any,
 ) -> Any:
+    """Run scipy's DOP853; raise TooManyCallsError after a number of evaluations."""
     if atol is None:
         atol = _absolute_tolerance(H, z0, span, rtol)
     with np.errstate(all="ignore"):
         return scipy.integrate.solve_ivp(
-            _rates(H), span, z0, method="DOP853", rtol=rtol, atol=atol, **output
+            limited(_rates(H), calls or _MOST),
+            span,
+            z0,
+            method="DOP853",
+            rtol=rtol,
+            atol=atol,
+            **output,
         )

@@ -122,6 +122,9 @@ class Stepper:
         )
         if isinstance(scheme, Doubled):
             self._constants += _coupling(H, states, starts, parameters, omega)
+        if self.is_implicit:
+            jacobians = H.compile("numpy").at("jacobian", states, starts, parameters)
+            self._constants.append(tangent_scales(jacobians, float(np.abs(sizes).max())))
 
     @property
     def states(self) -> np.ndarray:

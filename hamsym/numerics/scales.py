@@ -10,6 +10,7 @@ import scipy.linalg
 SMALLEST = 1e-8
 #: Ratio of the units of tangent vectors up to which all of them are 1.
 _ALIKE = 1e3
+_ROUNDS = 12  # in each of which the logarithms of units come twice as near to their limits
 _AT_ONCE = 8  # steps between couplings before it is asked whether sizes still change
 
 
@@ -95,7 +96,7 @@ def resolved_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.n
     return np.asarray(np.maximum(sizes, smallest_sizes(sizes, coupling, time)))
 
 
-def tangent_scales(jacobians: np.ndarray) -> np.ndarray:
+def tangent_scales(jacobians: np.ndarray, time: float = 1.0) -> np.ndarray:
     """Return the units in which the components of tangent vectors are of one size, shape (dim,).
 
     In others, float64 can neither keep vectors orthonormal nor choose pivots, if components differ
@@ -105,6 +106,7 @@ def tangent_scales(jacobians: np.ndarray) -> np.ndarray:
     central force. They are 1 where they would differ by less than a factor of 1,000.
 
     - jacobians: J Hess, shape (..., dim, dim); those that are not finite are left out.
+    - time: Of the motion, where the mean has no rate.
 
     Examples
     --------
@@ -122,7 +124,7 @@ def tangent_scales(jacobians: np.ndarray) -> np.ndarray:
         return np.ones(dim)
     rate = float(np.abs(np.linalg.eigvals(mean)).max())
     with np.errstate(all="ignore"):  # scipy casts large scales to integers it does not use
-        paired = paired_sizes(np.ones(dim), mean, 1 / rate if rate > 0 else 1.0)
+        paired = paired_sizes(np.ones(dim), mean, 1 / rate if rate > 0 else time)
         first = np.ldexp(1.0, np.round(np.log2(paired)).astype(int))
         total = mean * first / first[:, None]
         if not np.isfinite(total).all():
@@ -181,3 +183,34 @@ def paired_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.nda
         root = np.sqrt(np.where(drift > 0, drift / np.maximum(turns, 1.0), driven))
         largest = float(np.maximum(q / root, p * root).max())
         return np.concatenate([largest * root, largest / root])
+
+
+def equilibrating(matrices: np.ndarray) -> np.ndarray:
+    """Return factors s with entries of s_i H_ij s_j near 1 in the largest entry of each row.
+
+    By the iteration of Ruiz (2001), for symmetric matrices H of shape (..., n, n). Of a Hessian
+    they are sizes of the variables that change its form alike; 1 where a row is zero.
+
+    Examples
+    --------
+    >>> equilibrating(np.array([[0.0, 4.0], [4.0, 16.0]])).round(2)
+    array([1.  , 0.25])
+    """
+    scale = np.ones(matrices.shape[:-1])
+    with np.errstate(all="ignore"):
+        for _ in range(_ROUNDS):
+            rows = np.abs(matrices * scale[..., :, None] * scale[..., None, :]).max(axis=-1)
+            scale = scale / np.sqrt(np.where(rows > 0, rows, 1.0))
+    return scale
+
+
+def equilibrium_sizes(hessian: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Return sizes of components that change H alike, the largest that of a point z.
+
+    - hessian: Of H at z, shape (dim, dim).
+    """
+    if not np.isfinite(hessian).all():
+        return np.where(z == 0, 1.0, np.abs(z))
+    units = equilibrating(hessian)
+    largest = (np.abs(z) / units).max() or 1 / units.max()
+    return np.asarray(np.maximum(units * largest, np.abs(z)))

@@ -144,6 +144,8 @@ class Problem:
         A parameter that is unknown.
     exact_period : Period or None
         The period as a formula, if it is given.
+    parameter_size : float
+        Size of the unknown parameter, which has a unit.
     """
 
     H: Hamiltonian
@@ -153,6 +155,7 @@ class Problem:
     start: float = 0.0
     parameter: str | None = None
     exact_period: Period | None = None
+    parameter_size: float = field(default=1.0, metadata=UNSAVED)
 
     def check(self) -> None:
         """Raise ValueError unless its symmetries and its parameter are those of H."""

@@ -32,17 +32,22 @@ _PLACES, _POINTS = 12, 1000  # of an orbit, and of another one that is compared 
 
 
 def first_of_branch(
-    found: Bifurcation, beside: PeriodicOrbit, parameter: str | None, side: int, tol: float
+    found: Bifurcation,
+    beside: PeriodicOrbit,
+    parameter: str | None,
+    size: float,
+    side: int,
+    tol: float,
 ) -> PeriodicOrbit:
     """Compute an orbit of the family that leaves at a bifurcation.
 
     Raise InputError if none is found.
 
     - beside: Another orbit of the family, near the bifurcation.
-    - parameter: The parameter that varies along the family.
+    - parameter, size: The parameter that varies along the family, and its size.
     - side: 1 or -1, the sense of the null vector.
     """
-    for problem, arc, turns in _less_symmetric(found, parameter):
+    for problem, arc, turns in _less_symmetric(found, parameter, size):
         share = turns * beside.period / problem.closing.parts
         change = [(beside(problem.start + share * arc.edges) - arc.ends).ravel()]
         change.append(np.array([turns * beside.period - arc.period, 0.0]))
@@ -67,13 +72,13 @@ def first_of_branch(
 
 
 def _less_symmetric(
-    found: Bifurcation, parameter: str | None
+    found: Bifurcation, parameter: str | None, size: float
 ) -> Iterator[tuple[Problem, Arc, int]]:
     """Problems whose solutions may leave the family, with the arc of the bifurcation and its number
     of periods.
     """
     orbit = found.orbit
-    problem = replace(orbit.problem, parameter=parameter)
+    problem = replace(orbit.problem, parameter=parameter, parameter_size=size)
     if parameter is None:
         problem = replace(problem, energy=None, period=None, exact_period=None)
     whole = Closing(SignedPermutation.identity(orbit.H.dim))

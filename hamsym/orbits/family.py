@@ -153,7 +153,8 @@ class OrbitFamily(Drawn, Saved, Listed[PeriodicOrbit]):
             raise InputError(f"side must be 1 or -1, not {side!r}")
         found = self.branches[k]
         beside = self.orbits[min(found.after + 1, len(self) - 1)]
-        first = first_of_branch(found, beside, self.parameter, side, tol)
+        size = 1.0 if self.parameter is None else float(np.abs(self.values).max()) or 1.0
+        first = first_of_branch(found, beside, self.parameter, size, side, tol)
         return orbit_family(first, tol=tol, **target)
 
     @property
@@ -223,7 +224,8 @@ def orbit_family(
     problem = orbit.problem
     if parameter is not None:
         name, value = _parameter(orbit, parameter)
-        problem = replace(problem, parameter=name)
+        size = max(abs(value), abs(orbit.H.parameters[name])) or 1.0
+        problem = replace(problem, parameter=name, parameter_size=size)
         aim = Aim(f"parameter {name}", value, lambda o: o.H.parameters[name])
     else:
         if not problem.conservative:

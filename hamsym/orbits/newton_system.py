@@ -21,7 +21,7 @@ from hamsym.orbits.precise_rates import precise_energy
 from hamsym.orbits.symmetry import Closing, SignedPermutation
 from hamsym.orbits.window_maps import WindowMaps
 
-_NO_EFFECT = 1e7  # relative change of a parameter, at least 1, that changes an orbit by its size
+_NO_EFFECT = 1e7  # relative change of a parameter that changes an orbit by its size
 
 
 @dataclass(frozen=True)
@@ -63,8 +63,9 @@ class NewtonSystem:
         self._dim, self._numbers = dim, 2 + len(slice.integrals)
         self._rows: list[np.ndarray] = []
         self._right: list[np.ndarray] = []
-        value = 1.0 if problem.parameter is None else problem.H.parameters[problem.parameter]
-        self._parameter = max(1.0, abs(value))
+        self._parameter = problem.parameter_size
+        if problem.parameter is not None:
+            self._parameter = max(self._parameter, abs(problem.H.parameters[problem.parameter]))
         closing = problem.closing
         if closing.first is not None and closing.last is not None:
             self._reflect(closing.first, 0)
@@ -104,7 +105,8 @@ class NewtonSystem:
         free = windows[..., dim:-1]
         largest = np.vstack([free.reshape(-1, self._numbers), rows[:, 2 * dim :]])
         units = np.concatenate([[arc.period], _largest(largest[:, 1:])])
-        if units[1] > _NO_EFFECT * self._parameter:  # what is left of its effect is round-off
+        # what is left of its effect is round-off
+        if units[1] > _NO_EFFECT * self._parameter or not largest[:, 1].any():
             units[1] = self._parameter
         self._number_units = units
         self.units = np.concatenate([np.tile(scale, len(arc.ends)), units[:2]])

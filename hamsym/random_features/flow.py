@@ -7,8 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import sympy
 
 from hamsym.bounds.residual import is_short_polynomial
+from hamsym.codegen.functions import compile_observable
 from hamsym.codegen.programs import programs_of
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.kernel.loops import Equations as Programs
@@ -35,6 +37,8 @@ class Flow:
     jacobian: Callable[[np.ndarray, np.ndarray], np.ndarray]
     #: (z, t) -> H, shape (n,), where H is conserved and does not jump at the cut of an angle.
     energy: Callable[[np.ndarray, np.ndarray], np.ndarray] | None
+    #: (z, t) -> sum of the sizes of the terms of H, which may cancel, shape (n,).
+    energy_terms: Callable[[np.ndarray, np.ndarray], np.ndarray]
     #: Whether the time does not occur.
     autonomous: bool
     #: (z, candidates) -> those components of one state that keep exactly their values.
@@ -49,6 +53,11 @@ class Flow:
 def flow_of(H: Hamiltonian) -> Flow:
     """Return the flow of H."""
     at, form = H.compile("numpy").at, H.real_equations
+
+    @functools.cache
+    def terms() -> Callable[..., np.ndarray]:
+        return compile_observable(_sizes_of_terms(form.expr), form)
+
     return Flow(
         programs_of(form),
         np.array([H.parameters[name] for name in H.parameter_names], dtype=float),
@@ -58,8 +67,16 @@ def flow_of(H: Hamiltonian) -> Flow:
         vector_field=functools.partial(at, "vector_field"),
         jacobian=functools.partial(at, "jacobian"),
         energy=functools.partial(at, "energy") if form.has_conserved_values else None,
+        energy_terms=lambda z, t: np.broadcast_to(terms()(z, t), len(z)),
         autonomous=H.time is None,
         resting=lambda z, candidates: form.resting(z.tolist(), candidates.tolist()),
         switched=has_switches(H),
         switched_in_time=has_time_switches(H),
     )
+
+
+def _sizes_of_terms(expr: sympy.Expr) -> sympy.Expr:
+    """The sum of the sizes of all terms, also of those in factors."""
+    if expr.is_Add or expr.is_Mul:
+        return expr.func(*map(_sizes_of_terms, expr.args))
+    return sympy.Abs(expr)

@@ -47,6 +47,8 @@ MAX_WINDOWS = 200_000
 # Of a rough look at the whole span: the share of the sizes found there that floors become, that of
 # what others make of a component, steps at least, and states at most.
 _AHEAD, _MOVED, _LOOKS, _MOST_LOOKS = 1e-3, 1e-3, 64, 20_000
+#: Share of the length expected of the first window, below which the march looks ahead.
+SHORT = 1e-4
 _SURE = 5_000  # windows from which the total is known within a factor of ten
 
 
@@ -146,7 +148,7 @@ class _Marching:
         self._failures: list[str] = []  # that shorter windows did not mend
         self._looked_ahead = False
         self._widen_floors()
-        self._clock[1] = loops.first_length(
+        self._clock[1] = self._first = loops.first_length(
             *(flow.programs, basis.tables, flow.parameters, z0, self._rate, self._start, self._end)
         )
 
@@ -175,6 +177,10 @@ class _Marching:
                 loops.Windows(*self._windows.part(0, room)),
                 given,
             )
+            if self._begins_too_short():
+                self._look_ahead()
+                given, status = False, loops.FULL
+                continue
             given = status == loops.NEWTON and self._newton()
             newton_windows += given
             if status == loops.NEWTON:
@@ -291,6 +297,14 @@ class _Marching:
         counted = np.minimum(self._absolute, smallest / SMALLEST)
         self._floors = np.maximum(self._floors, np.maximum(smallest, counted))
 
+    def _begins_too_short(self) -> bool:
+        """Whether the first window is short for a component that begins at zero, moved by none."""
+        if self._looked_ahead or self._checked or not self._count:
+            return False
+        windows = self._windows.part(0, 1)
+        resting = (windows.states[0] == 0) & (self._floors == 0)
+        return bool(abs(np.diff(windows.edges)[0]) < SHORT * self._first and resting.any())
+
     def _look_ahead(self) -> None:
         """Raise the floors to a share of the sizes that components have later, and begin again.
 
@@ -298,7 +312,8 @@ class _Marching:
         springs, is in no short window resolved relative to itself.
         """
         self._looked_ahead = True
-        states = [self._sizes]
+        z0, time = self._windows.part(0, 0).states[0], np.array([self._start])
+        states = [np.abs(z0)]
 
         def rates(t: float, z: np.ndarray) -> np.ndarray:
             if len(states) > _MOST_LOOKS or not np.isfinite(z).all():
@@ -306,16 +321,19 @@ class _Marching:
             states.append(np.abs(z))
             return np.asarray(self._flow.vector_field(z[None], np.array([t]))[0])
 
-        z0, time = self._windows.part(0, 0).states[0], np.array([self._start])
         coupling = np.abs(self._flow.jacobian(z0[None], time)[0])
-        scale = floored_sizes(self._sizes, coupling, self._whole, _MOVED)
+        scale = floored_sizes(states[0], coupling, self._whole, _MOVED)
         span, longest = (self._start, self._end), self._whole / _LOOKS
         with contextlib.suppress(StopIteration), np.errstate(all="ignore"):
             scipy.integrate.solve_ivp(
                 rates, span, z0, max_step=longest, rtol=1e-4, atol=1e-6 * scale
             )
         self._floors = np.maximum(self._floors, _AHEAD * np.max(states, axis=0))
-        self._clock[1] = self._whole
+        self._clock[:] = self._start, self._whole, 0.0
+        self._counts[[0, 2, 3]] = 0
+        self._known = np.abs(z0)
+        self._sizes[:] = np.abs(z0)
+        self._tail[:, 1:], self._tail[:, 0] = 0.0, self._rate
 
     def _check(self) -> Failure | None:
         """Check the windows since the last check."""

@@ -24,6 +24,7 @@ _CALLS, _SECONDS = 1_000_000, 3.0  # of all blocks
 _LONGEST = 80  # operations of a solution that is still readable
 _MOST = 1_000  # combinations of the solutions of blocks
 _IMAGINARY = 1e-20
+_LONGEST_NUMBER = 1_000_000  # bits
 
 Solution = dict[sympy.Symbol, sympy.Expr]
 
@@ -41,9 +42,24 @@ def blocks(form: Equations) -> list[list[int]]:
 
 
 def exact_gradient(form: Equations) -> list[sympy.Expr]:
-    """The gradient without floating-point numbers, with the values of the parameters."""
-    exact = (form.exact.with_fractions(entry, form.values) for entry in form.exact.gradient)
-    return [entry.xreplace(form.fractions) for entry in exact]
+    """The gradient without floating-point numbers, with the values of the parameters.
+
+    Entries with powers too long for fractions have the symbols of the parameters.
+    """
+    inserted = form.fractions
+    found = [form.exact.with_fractions(entry, form.values) for entry in form.exact.gradient]
+    return [e if _has_long_power(e, inserted) else e.xreplace(inserted) for e in found]
+
+
+def _has_long_power(expr: sympy.Expr, values: Mapping[sympy.Symbol, sympy.Expr]) -> bool:
+    """Whether a power becomes a number of too many bits with values of symbols."""
+    for power in sorted(expr.atoms(sympy.Pow), key=sympy.count_ops):  # inner ones first
+        base, exponent = power.base.xreplace(values), power.exp.xreplace(values)
+        if base.is_Rational and exponent.is_Rational and abs(base) != 1:
+            bits = max(abs(base.p).bit_length(), base.q.bit_length())
+            if not abs(exponent) * bits <= _LONGEST_NUMBER:
+                return True
+    return False
 
 
 def stationary_points(form: Equations) -> list[Solution] | None:
@@ -62,6 +78,9 @@ def stationary_points(form: Equations) -> list[Solution] | None:
     try:
         with call_limit(_CALLS, _SECONDS):
             gradient = exact_gradient(form)
+            bound = {symbol for symbol, value in form.parameters.values() if value is not None}
+            if any(entry.free_symbols & bound for entry in gradient):
+                return None
             parts = []
             for block in blocks(form):
                 found = _solved([gradient[i] for i in block], [form.z[i] for i in block])

@@ -14,6 +14,7 @@ ed., chapter 9).
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -163,7 +164,7 @@ def _canonical(found: CanonicalMap) -> CanonicalMap:
         expected = sympy.Integer(int(j == i + half))
         with limited("the Poisson brackets of the transformation"):
             bracket = poisson_bracket(found.formulas[i], found.formulas[j], found.new)
-            decided = derivatives.vanishes(bracket - expected)
+            decided = derivatives.vanishes(_slowed(bracket - expected)[1])
         if not decided:
             names = f"{{{found.old[i].name}, {found.old[j].name}}}"
             with limited("the Poisson brackets of the transformation"):
@@ -209,8 +210,21 @@ def _integrated(slopes: Sequence[sympy.Expr], new: Symbols) -> sympy.Expr:
 
 def shorter(expr: sympy.Expr) -> sympy.Expr:
     """The shortest of an expression, its expanded and its simplified form."""
+    fastest, expr = _slowed(expr)
     forms = [expr, sympy.expand(expr), sympy.simplify(expr)]
-    return min(forms, key=sympy.count_ops)
+    return min(forms, key=sympy.count_ops).xreplace({_TIME: fastest * _TIME})
+
+
+def _slowed(expr: sympy.Expr) -> tuple[sympy.Expr, sympy.Expr]:
+    """A number and the expression with the time divided by it, of which sympy is faster.
+
+    sympy expands the sine of 1000 t in powers of those of t.
+    """
+    functions = expr.atoms(sympy.sin, sympy.cos, sympy.tan)
+    rates = [function.args[0].coeff(_TIME) for function in functions]
+    known = [rate for rate in rates if rate.is_Rational and rate != 0]
+    fastest = functools.reduce(sympy.gcd, known) if known else sympy.Integer(1)
+    return fastest, expr.xreplace({_TIME: _TIME / fastest})
 
 
 def transformed(expr: sympy.Expr, found: CanonicalMap) -> sympy.Expr:

@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 import sympy
+from sympy.functions.elementary.hyperbolic import HyperbolicFunction
+from sympy.functions.elementary.trigonometric import TrigonometricFunction
 
 from hamsym.codegen.functions import compile_observable
 from hamsym.errors import InputError, VariableError
@@ -171,11 +173,32 @@ class Transformation(Shown):
         ]
 
     def _starts(self, row: np.ndarray) -> Iterator[np.ndarray]:
-        """Random states, of the size of the old ones and others."""
+        """Random states, whose coordinates have powers of the old ones as sizes.
+
+        The product of a coordinate and its momentum is an action, of one unit in all variables.
+        """
         random = np.random.default_rng(0)
-        size = max(float(np.abs(row).max()), 1e-3)
-        for _ in range(_STARTS):
-            yield random.uniform(0.05, 1, len(row)) * size ** random.choice([0, 0.5, 1, 2])
+        dof = len(row) // 2
+        q, p = np.split(np.abs(row), 2)
+        anything = 2.0 ** random.uniform(-120, 120, _STARTS)
+        for k in range(_STARTS):
+            known = q[q > 0] if q.any() else anything[k : k + 1]
+            action = float((q * p).max() or known.max() * (p.max() or anything[k]))
+            shape = (2, dof if k % 2 else 1)  # the same for all of them in every other start
+            sizes = random.choice(known, shape)[0] ** random.choice([0, 0.5, 1, 2], shape)[0]
+            sizes = np.where(self._angles, 1.0, sizes)
+            units = np.concatenate([sizes, action / sizes])
+            yield random.uniform(0.05, 1, len(row)) * units
+
+    @cached_property
+    def _angles(self) -> np.ndarray:
+        """Whether a new coordinate is only in arguments of functions, which have no unit."""
+        pure = (TrigonometricFunction, HyperbolicFunction, sympy.exp)
+        bare: set[Any] = set()
+        for expression in self._values.expressions:
+            inside = {function: sympy.Dummy() for function in expression.atoms(*pure)}
+            bare |= expression.xreplace(inside).free_symbols
+        return np.array([s not in bare for s in self.H.real_equations.z[: self.H.dof]])
 
     def _solved(self, start: np.ndarray, row: np.ndarray, time: float) -> np.ndarray | None:
         """The state whose old variables are a row; None if the iteration does not end there."""

@@ -486,3 +486,25 @@ def test_zero_beside_the_box_is_said_to_be_on_its_edge() -> None:
     H = Hamiltonian("p**2/2 + x**2/2 - x - x/10**80")
     found = hamsym.equilibria(H, box={"x": (0, 1), "p": (-1, 1)})
     assert found.message == "the only equilibrium in the box or on its edge, proven"
+
+
+@pytest.mark.parametrize("guess", [None, [[0.85, -0.4, 0, 0]]])
+def test_saddles_whose_coordinates_have_units_of_their_own(guess: list[list[float]] | None) -> None:
+    H = Hamiltonian(
+        "s*(((p_x*a/s)**2 + (p_y*b/s)**2 + (x/a)**2 + (y/b)**2)/2 + (x/a)**2*y/b - (y/b)**3/3)",
+        parameters={"a": 1.0, "b": 2.0**-60, "s": 2.0**10},
+    )
+    units = np.array([1.0, 2.0**-60, 2.0**10, 2.0**70])
+    found = hamsym.equilibria(H, guess=None if guess is None else np.array(guess) * units)
+    saddles = [each for each in found if each.z[0] > 0.5]
+    assert [each.type for each in saddles] == ["saddle-centre"]
+    np.testing.assert_allclose(saddles[0].frequencies, math.sqrt(3), rtol=1e-14)
+
+
+@pytest.mark.parametrize("box", [None, {"x": (-3, 3), "p": (-1, 1)}])
+def test_powers_too_long_for_fractions(box: dict[str, tuple[float, float]] | None) -> None:
+    """0.999999999999**1e12, which is about 1/e, has 5e13 bits."""
+    values = {"k": 0.999999999999, "m": 1e12}
+    found = equilibria(Hamiltonian("p**2/2 - k**m*x**2/2 + x**4", parameters=values), box=box)
+    assert len(found) == 3
+    assert max(each.z[0] for each in found) == pytest.approx(math.exp(-0.5) / 2, rel=1e-4)

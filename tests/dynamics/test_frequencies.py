@@ -242,3 +242,12 @@ def test_signals_of_members_have_their_own_parameters() -> None:
     assert found.success
     assert found.amplitude[:, 0, 0] == pytest.approx([1, 4], rel=1e-8)
     assert np.nanmax(found.amplitude[:, 1], axis=1) == pytest.approx([1, 3], rel=1e-8)
+
+
+@pytest.mark.parametrize("start", [1e9, -1e12])
+def test_times_far_from_zero_need_no_more_samples(start: float) -> None:
+    """Rounded by 1e-7 or 1e-4, which no number of samples resolves."""
+    H, z0 = hamsym.systems.henon_heiles().H, [0.1, 0.15, 0.2, 0.0]
+    near, far = (hamsym.frequencies(hamsym.solve(H, z0, (t, t - 50))) for t in (0.0, start))
+    np.testing.assert_allclose(far.frequency[:, 0], near.frequency[:, 0], atol=1e-6)
+    assert far.seconds < 5

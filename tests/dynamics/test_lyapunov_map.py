@@ -270,3 +270,35 @@ def test_rows_are_drawn_over_a_parameter(starts: np.ndarray) -> None:
     cube = hamsym.lyapunov(ESCAPING, starts[None], (0, 20))
     with pytest.raises(InputError, match="shape .1, 2, 3. are neither a row nor a plane"):
         cube.plot()
+
+
+@pytest.mark.slow_cases("implicit")
+@pytest.mark.parametrize(
+    ("terms", "start", "method"),
+    [
+        ("(x/a)**2/2 + (y/b)**2/2 + (x/a)**2*y/b - (y/b)**3/3", [0, -0.15, 0.5, 0], "gauss6"),
+        ("(x/a)**4/4 + (y/b)**4/4 + (x*y/a/b)**2", [0, 0, 1, 0.3], "yoshida8"),
+    ],
+    ids=["implicit", "resting"],
+)
+def test_units_of_each_coordinate_change_no_exponent(
+    terms: str, start: list[float], method: str
+) -> None:
+    """Of a start, too, where no force acts, from 0.042 to 0.27 before."""
+    H = Hamiltonian(f"s/T*(((a*p_x/s)**2 + (b*p_y/s)**2)/2 + {terms})")
+    found = []
+    for a, b, s, T in ((1.0, 2.0**-60, 2.0**10, 1.0), (2.0**-33, 2.0**3, 2.0**-53, 2.0**-40)):
+        map_ = hamsym.lyapunov(
+            H,
+            np.array([start]) * [a, b, s / a, s / b],
+            (0, 100 * T),
+            method=method,
+            count=2,
+            parameters={"a": a, "b": b, "s": s, "T": T},
+        )
+        assert map_.success.all()
+        found.append(map_.exponents * T)
+    np.testing.assert_allclose(found[0], found[1], atol=1e-6)
+    plain = H.with_parameters(a=1, b=1, s=1, T=1)
+    own = hamsym.lyapunov(plain, [start], (0, 100), method=method, count=2)
+    np.testing.assert_allclose(found[0], own.exponents, atol=0.01)

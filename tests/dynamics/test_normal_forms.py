@@ -190,6 +190,23 @@ def test_normal_forms_in_other_units(units: tuple[float, float, float]) -> None:
     )
 
 
+@pytest.mark.parametrize("unit", [2.0**-60, 2.0**60])
+def test_domain_without_a_second_term_has_the_unit_of_the_actions(unit: float) -> None:
+    domains = [
+        Hamiltonian(f"{a}**2*((p/{a})**2/2 + (x/{a})**2/2 + (x/{a})**3/3)")
+        .equilibria({"x": 0, "p": 0})[0]
+        .normal_form(3)
+        .domain
+        / a
+        for a in (1.0, unit)
+    ]
+    assert 0.01 < domains[0] == pytest.approx(domains[1], rel=1e-12)
+
+
+def test_domain_of_a_quadratic_form_is_infinite() -> None:
+    assert _at_origin("p**2/2 + x**2/2").normal_form(4).domain == np.inf
+
+
 @pytest.mark.parametrize(
     ("formula", "within"),
     [

@@ -218,6 +218,28 @@ def test_units_change_nothing_but_the_unit(swing: np.ndarray, unit: float) -> No
         assert found.parameters[name] == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.parametrize("action", [2.0**-40, 2.0**60])
+def test_starts_and_sets_in_units_of_momenta(action: float) -> None:
+    """A first guess 0 of the momentum is of the size that the coordinate gives it."""
+    t, rng = np.linspace(0, 10, 40), np.random.default_rng(2)
+    data = np.cos(t) + rng.normal(0, 0.01, (2, 40))
+    found, other = (
+        hamsym.fit(
+            "c*((p/s)**2 + x**2)/2",
+            *(t, {"x": data}),
+            free={"x": 0.9, "p": 0.0, "c": 0.9 * unit},
+            parameters={"s": unit},
+            sigma=0.01,
+            span=(0, 10),
+            starts=9,
+        )
+        for unit in (1.0, action)
+    )
+    for name, unit in (("x", 1.0), ("p", action), ("c", action)):
+        np.testing.assert_allclose(other.parameters[name] / unit, found.parameters[name], rtol=1e-9)
+    np.testing.assert_array_equal(found.starts_reached, other.starts_reached)
+
+
 # -- refusals --------------------------------------------------------------------------------------
 
 

@@ -16,7 +16,7 @@ import scipy.optimize
 import hamsym
 from hamsym import Hamiltonian, InputError
 from hamsym.errors import SeparabilityError, StepSizeWarning
-from hamsym.integrators import stepper
+from hamsym.integrators import adaptive, stepper
 from hamsym.integrators.adaptive import reference
 from hamsym.integrators.coefficients import Doubled, Splitting
 from hamsym.integrators.energy_drift import EnergyDrift
@@ -47,13 +47,14 @@ ANY_H = [
 # infinity.
 TIMED = Hamiltonian("p**2*(1 + sin(t)/2)/2 + x**2*(1 + cos(2*t)/3)/2 - x**4/20")
 # An equilibrium near (1.4, 0, -0.16, 0) and, beyond a barrier near t_ = -1.4, escape to infinity.
-# The names are also names of the kernels and loops. a and b are the units.
+# The names are also names of the kernels and loops. a, b and d are the units of t_, its momentum
+# and y.
 NONSEPARABLE = Hamiltonian(
     "a*b*((momenta/b)**2*(1 + (t_/a)**2)/2 + (t_/a)**3/3 - 2*(t_/a) + (t_/a)*(momenta/b)/3"
-    "+ (h/b)**2*(2 + cos((t_ - y)/a))/4 + (y/a)**2/2)",
+    "+ (h*d/a/b)**2*(2 + cos(t_/a - y/d))/4 + k*(y/d)**2/2)",
     q=["t_", "y"],
     p=["momenta", "h"],
-    parameters={"a": 1.0, "b": 1.0},
+    parameters={"a": 1.0, "b": 1.0, "d": 1.0, "k": 1.0},
 )
 BOUNDED, ESCAPING = (1.0, -0.5, 0.5, 0.3), (-1.6, 0.1, -0.2, 0.1)
 
@@ -321,11 +322,31 @@ def test_implicit_steps_satisfy_their_equations(make: object) -> None:
 def test_gauss_methods_work_in_any_units(method: str) -> None:
     """Coordinates of 1e12 and momenta of 1e-9, which one absolute tolerance cannot resolve."""
     a, b = 1e12, 1e-9
-    H = NONSEPARABLE.with_parameters(a=a, b=b)
+    H = NONSEPARABLE.with_parameters(a=a, b=b, d=a)
     units = np.array([a, a, b, b])
     plain = hamsym.integrate(NONSEPARABLE, BOUNDED, (0, 10), method, steps=100).z
     scaled = hamsym.integrate(H, BOUNDED * units, (0, 10), method, steps=100).z
     np.testing.assert_allclose(scaled / units, plain, atol=1e-12)
+
+
+@pytest.mark.parametrize("units", [(1.0, 2.0**10, 2.0**-60), (2.0**-60, 2.0**-60, 2.0**60)])
+@pytest.mark.parametrize("method", ["gauss4", "gauss6", "symplectic_euler"])
+def test_coordinates_of_implicit_methods_have_units_of_their_own(
+    method: str, units: tuple[float, float, float]
+) -> None:
+    """Of fast motion along y, whose stages Newton's method finds."""
+    plain, scaled = (
+        hamsym.integrate(
+            NONSEPARABLE.with_parameters(a=a, b=b, d=d, k=400.0),
+            np.array([1.0, -0.05, 0.5, 0.3]) * [a, d, b, a * b / d],
+            (0, 5),
+            method,
+            steps=100,
+        ).z
+        / [a, d, b, a * b / d]
+        for a, b, d in ((1.0, 1.0, 1.0), units)
+    )
+    np.testing.assert_allclose(scaled, plain, atol=1e-12)
 
 
 def test_unsolvable_step_keeps_earlier_states() -> None:
@@ -451,7 +472,7 @@ def test_each_trajectory_has_its_parameters(
     random = np.random.default_rng(3)
     start = [0.0, 0.0] if H is OSCILLATORS else BOUNDED
     states = start + 0.3 * random.normal(size=(count, H.dim))
-    values = random.uniform(0.5, 2.0, (count, 2))
+    values = random.uniform(0.5, 2.0, (count, len(H.parameter_names)))
 
     def run(H: Hamiltonian, rows: slice, parameters: np.ndarray | None) -> np.ndarray:
         number = len(states[rows])
@@ -955,3 +976,13 @@ def test_loops_over_terms_match_written_out_steps() -> None:
     _, M = step_map(Problem("bodies", H, tuple(starts[0]), (0.0, 1.0), ""), "forest_ruth", h)
     J = np.array(H.poisson_matrix, dtype=float)
     assert np.abs(M.T @ J @ M - J).max() < 1e-10 * np.linalg.norm(M, 2) ** 2
+
+
+def test_dop853_ends_after_too_many_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(adaptive, "_MOST", 3_000)
+    monkeypatch.setattr(adaptive, "_MOST_ROUGH", 3_000)
+    found = hamsym.integrate("p**2/2 + x**2/2", [1.0, 0.0], (0, 1e12), "dop853", steps=10)
+    assert not found.success
+    assert "more than 3,000 evaluations; give a shorter span" in found.message
+    with pytest.raises(InputError, match="3,000 evaluations; use a shorter span"):
+        reference("p**2/2 + x**2/2", np.array([1.0, 0.0]), (0, 1e12))

@@ -267,3 +267,16 @@ def test_exact_period_by_elliptic_integrals_is_that_of_quadrature():
             [0, mpmath.pi / 2 - mpmath.mpf(10) ** -12],
         )
     assert float(4 * quarter) == pytest.approx(float(duffing_period(2.0)), rel=1e-9)
+
+
+@pytest.mark.parametrize("unit", [2.0**-70, 2.0**60])
+@pytest.mark.parametrize("term", ["e*x**4", "e*y**2*(1 + x)"])
+def test_a_parameter_has_a_unit(term: str, unit: float) -> None:
+    """Its effect begins at zero, or is none on the orbits, and on their stability alone."""
+    formula = f"c*((p_x**2 + p_y**2)/c**2 + x**2 + 2*y**2)/2 + {term}"
+    families = []
+    for c in (1.0, unit):
+        H = hamsym.Hamiltonian(formula, parameters={"c": c, "e": 0.0})
+        orbit = hamsym.periodic_orbit(H, ([1.0, 0.0, 0.0, 0.0], 6.28))
+        families.append(orbit.family(parameter=("e", 0.05 * c), max_orbits=12, max_step=0.1))
+    np.testing.assert_allclose(families[1].values / unit, families[0].values, rtol=1e-6)

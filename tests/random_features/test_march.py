@@ -728,6 +728,17 @@ def test_middle_of_quartic_chain_begins_with_high_powers() -> None:
     assert true_error(solution, reference(H, z0, (0, 10))).max() <= 1e-9
 
 
+@pytest.mark.parametrize("unit", [1.0, 2.0**-73, 2.0**40])
+def test_units_of_momenta_do_not_count_the_windows_of_a_quartic_chain_at_rest(unit: float) -> None:
+    """One of 621 windows, or 12,607, crept through the first 1e-3 s before."""
+    terms = [f"(p{i}/u)**2/2" for i in range(1, 9)] + ["q1**4/4 + q8**4/4"]
+    terms += [f"(q{i + 1} - q{i})**4/4" for i in range(1, 8)]
+    H = Hamiltonian(f"u*({' + '.join(terms)})", parameters={"u": unit})
+    solution = hamsym.solve(H, [1.0, -0.3, *14 * [0.0]], (0, 20))
+    assert solution.success
+    assert len(solution.record.edges) == 34
+
+
 def test_rest_under_dry_friction_is_refused_at_once() -> None:
     H = Hamiltonian("p**2/2 + x**2/2", forces={"p": "-sign(p)/10"})
     solution = hamsym.solve(H, [1, 0], (0, 20))

@@ -66,6 +66,16 @@ def test_energy_check_finds_hidden_step(monkeypatch: pytest.MonkeyPatch) -> None
     assert checks._energy_jump(parts, crossed) == pytest.approx(math.acos(1 / 3), abs=1e-3)
 
 
+def test_round_off_of_a_rest_energy_is_no_jump() -> None:
+    """Of an electron in a trap: H rounds to 2e-8 of the energy of the motion."""
+    values = {"c": 299792458.0, "m": 9.1e-31, "k": 1e-9}
+    H = Hamiltonian("c*sqrt(m**2*c**2 + p**2) - m*c**2 + k*x**2/2", parameters=values)
+    solution = hamsym.solve(H, [1e-6, 0.0], (0, 1e-9))
+    assert solution.success, solution.message
+    period = 2 * math.pi * math.sqrt(values["m"] / values["k"])
+    assert solution(period)[0] == pytest.approx(1e-6, rel=1e-9)
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_step_far_along_a_free_flight(sign: int) -> None:
     """A scatterer of size 1 after a flight of 5,000, forwards and backwards in time."""

@@ -262,6 +262,30 @@ def test_components_of_different_sizes_are_each_mapped_back(sizes: tuple[float, 
     assert (np.abs(back - on_axis) <= 1e-9 * np.repeat(sizes, 2)).all()
 
 
+@pytest.mark.parametrize("sizes", [(2.0**60, 2.0**60), (1.5e11, 1.8e29), (2.0**-60, 2.0**-90)])
+def test_starts_of_the_search_have_the_units_of_the_new_variables(
+    sizes: tuple[float, float],
+) -> None:
+    polar = Hamiltonian(KEPLER).transformed(POLAR, positive="r")
+    state = polar.to_new(np.array([1.0, 0.2, 0.1, 1.1]) * np.repeat(sizes, 2))
+    length, momentum = sizes
+    assert polar.H.names == ("phi", "r", "p_phi", "p_r")
+    units = [1.0, length, length * momentum, momentum]
+    own = polar.to_new([1.0, 0.2, 0.1, 1.1])
+    np.testing.assert_allclose(state / units, own, rtol=1e-12)  # of the same turn
+    oscillator = Hamiltonian(OSCILLATOR)
+    cubed = oscillator.transformed({"x": f"X + X**3/{length}**2"})
+    back = cubed.to_old(cubed.to_new([0.0, momentum]))
+    np.testing.assert_allclose(back, [0.0, momentum], atol=1e-12 * length)
+
+
+def test_a_frame_that_rotates_fast() -> None:
+    frame = {"x": "X*cos(3e7*t) - Y*sin(3e7*t)", "y": "X*sin(3e7*t) + Y*cos(3e7*t)"}
+    found = Hamiltonian(KEPLER).transformed(frame)
+    assert found.H.time is None
+    assert found.H.is_conserved("X*p_Y - Y*p_X")
+
+
 def test_angles_of_too_many_turns_are_no_solution() -> None:
     found = Hamiltonian(KEPLER).transformed(POLAR, positive="r")
     z0 = [1.0, 0.2, -0.1, 1.1]

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from flint import acb, acb_mat, arb_mat
 
+from hamsym.numerics.scales import equilibrating
 from hamsym.proof.arithmetic.balls import working
 from hamsym.symbolic.derivatives import connected_blocks
 
@@ -165,8 +166,7 @@ def _inertia(rows: list[list[Any]]) -> tuple[int, int]:
     """
     size = len(rows)
     middle = np.array([[float(entry.mid()) for entry in row] for row in rows])
-    largest = np.abs(middle).max(axis=1)
-    scale = 1 / np.sqrt(np.where(largest > 0, largest, 1.0))
+    scale = equilibrating(middle)
     if not np.isfinite(middle).all() or not np.isfinite(scale).all():
         return 0, 0
     vectors = scale[:, None] * np.linalg.eigh(middle * scale[:, None] * scale)[1]
@@ -190,6 +190,7 @@ def _inertia(rows: list[list[Any]]) -> tuple[int, int]:
 def _has_sign(rows: list[list[Any]], sign: int) -> bool:
     """Whether a symmetric matrix is proven to have an eigenvalue of this sign."""
     middle = np.array([[float(entry.mid()) for entry in row] for row in rows])
-    values, vectors = np.linalg.eigh(middle)
-    v = arb_mat(len(rows), 1, vectors[:, np.argmax(sign * values)].tolist())
+    scale = equilibrating(middle)
+    values, vectors = np.linalg.eigh(middle * scale[:, None] * scale)
+    v = arb_mat(len(rows), 1, (scale * vectors[:, np.argmax(sign * values)]).tolist())
     return bool(sign * (v.transpose() * arb_mat(rows) * v)[0, 0] > 0)
