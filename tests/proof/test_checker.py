@@ -29,18 +29,21 @@ from hamsym.proof.checker.flow_maps import check_flow_map
 from hamsym.proof.checker.formulas import Formulas, NotProvenError
 from hamsym.proof.checker.functions import (
     Equations,
+    Interval,
     Polynomial,
     coefficients,
     expanded,
     squares,
 )
-from hamsym.proof.checker.motion import Step, steps
+from hamsym.proof.checker.guesses import Effort
+from hamsym.proof.checker.motion import steps
 from hamsym.proof.checker.series import Series, exponents, term
 from hamsym.proof.checker.solutions import check_solution
 from hamsym.proof.independent import _flow_data, _trial_data, verify_flow_map
 
 FOLDER = Path(package.__file__).parent
 QUARTIC = "p**2/2 + x**2/2 + x**4/4"
+EFFORT = Effort(46, 2.0**-150)
 
 
 # -- what it is -----------------------------------------------------------------------------------
@@ -228,7 +231,7 @@ def assert_encloses(seed):
     text, z0, span = random_problem(seed)
     with ctx.workprec(208):
         equations = Equations(described(hamsym.Hamiltonian(text)))
-        *_, last = steps(equations, z0, span, 46, 2.0**-150, lambda: None)
+        *_, last = steps(equations, z0, span, EFFORT, lambda: None)
         for part, tube, true in zip(last.y, last.tube, truth(text, z0, span), strict=True):
             assert abs(part(arb(1)) - arb(str(true))) <= tube + arb(2) ** -130
             assert tube < 1e-25
@@ -257,7 +260,7 @@ def test_a_step_holds_for_every_polynomial(monkeypatch):
     monkeypatch.setattr(guesses, "guess", worse)
     with ctx.workprec(208):
         equations = Equations(described(hamsym.Hamiltonian(QUARTIC)))
-        *_, last = steps(equations, [1.3, 1.0], (0.0, 1.0), 46, 2.0**-150, lambda: None)
+        *_, last = steps(equations, [1.3, 1.0], (0.0, 1.0), EFFORT, lambda: None)
         true = truth(QUARTIC, [1.3, 1.0], (0.0, 1.0))
         for part, tube, value in zip(last.y, last.tube, true, strict=True):
             assert 1e-14 < abs(part(arb(1)) - arb(str(value))) <= tube
@@ -274,7 +277,7 @@ def test_matrices_without_use_prove_nothing(monkeypatch):
     monkeypatch.setattr(guesses, "guess", useless)
     equations = Equations(described(hamsym.Hamiltonian(QUARTIC)))
     with ctx.workprec(208), pytest.raises(NotProvenError, match="no proof beyond t = 0"):
-        list(steps(equations, [1.3, 1.0], (0.0, 1.0), 46, 2.0**-150, lambda: None))
+        list(steps(equations, [1.3, 1.0], (0.0, 1.0), EFFORT, lambda: None))
 
 
 # -- solutions ------------------------------------------------------------------------------------
@@ -508,7 +511,6 @@ def test_time_limit_of_the_checker(case):
         hamsym.verify(case[1], case[0], time_limit=1e-3, checker="independent")
 
 
-def test_steps_know_their_place():
-    step = Step(Fraction(1), Fraction(1, 2), [], [], None)
-    line = step.line(Fraction(2), Fraction(1, 4))
+def test_intervals_know_their_place():
+    line = Interval(Fraction(1), Fraction(1, 2)).line(Interval(Fraction(2), Fraction(1, 4)))
     assert [float(c.mid()) for c in line.coeffs()] == [2.0, 0.5]

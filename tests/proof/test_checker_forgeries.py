@@ -254,11 +254,11 @@ def assert_orbits_are_refused(name, monkeypatch, every=1):
     claims = json.loads(certificate.to_json())
     proven, known = _Orbit.proven, {}
 
-    def once(self, given, order, *rest):
+    def once(self, given, effort):
         """The orbit in a box, around which all claims are looked at."""
-        if order not in known:
-            known[order] = proven(self, claims, order, *rest)
-        return known[order]
+        if effort not in known:
+            known[effort] = proven(self, claims, effort)
+        return known[effort]
 
     monkeypatch.setattr(_Orbit, "proven", once)
     monkeypatch.setattr(hamsym, "prove_orbit", lambda *_, **__: certificate)

@@ -19,8 +19,9 @@ from typing import Any
 from flint import fmpq, fmpq_mpoly, fmpq_mpoly_ctx
 
 from hamsym.proof.checker.formulas import Formulas, NotProvenError, refusing_other_forms
-from hamsym.proof.checker.functions import Equations, exact_numbers
+from hamsym.proof.checker.functions import Equations
 
+_BITS = 64  # of numbers that are not used
 _Quotient = tuple[fmpq_mpoly, fmpq_mpoly]
 
 
@@ -35,10 +36,10 @@ def check_invariant(H: Mapping[str, Any], free: Sequence[str], f: Mapping[str, A
     ------
     NotProvenError
     """
-    with refusing_other_forms():
+    with refusing_other_forms(_BITS):
         equations = Equations(H, free)
         formulas, dim = equations.formulas, equations.dim
-        place = formulas.parse(f["formula"], numbers=exact_numbers(f))
+        place = formulas.read(f)
         *slopes, rate = formulas.gradient(place, dim + 1)
         for slope, velocity in zip(slopes, equations.rates, strict=True):
             rate = formulas.add(rate, formulas.multiply(slope, velocity))

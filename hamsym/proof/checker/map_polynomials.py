@@ -12,12 +12,12 @@ from typing import Any
 from flint import arb, arb_mat, arb_poly, ctx
 
 from hamsym.proof.checker.formulas import FalseClaimError, ball
-from hamsym.proof.checker.functions import COARSE, coefficients
+from hamsym.proof.checker.functions import COARSE, Interval, coefficients
 from hamsym.proof.checker.series import Series, exponents, term
 
 _HALVINGS = 40  # of parts of a step and a cell
 # Most halvings of cells, and of those in which only the claim is not proven.
-_DEEPEST, _CLOSEST = 24, 8
+DEEPEST, _CLOSEST = 24, 8
 
 Exponents = tuple[int, ...]
 
@@ -28,7 +28,7 @@ class WideCellError(Exception):
     - cost: The share that this is of the reasons for which a part of the box is given up.
     """
 
-    def __init__(self, text: str, cost: float = 1 / _DEEPEST) -> None:
+    def __init__(self, text: str, cost: float = 1 / DEEPEST) -> None:
         super().__init__(text)
         self.cost = cost
 
@@ -88,26 +88,26 @@ class LegOnCell:
             [list(row) for row in weights]
         )
 
-    def states(self, number: int, middle: Fraction, r: Fraction) -> list[arb_mat]:
-        """z^ at t = middle + r x in a piece: terms of s in rows, powers of x in columns."""
+    def states(self, number: int, part: Interval) -> list[arb_mat]:
+        """z^ on a part of a piece: terms of s in rows, powers of x in columns."""
         leg, piece = self._leg, self._leg["pieces"][number]
         if number not in self._readouts:
             self._readouts = {number: self._sums(piece["degrees"], piece["readouts"])}
         low, high = (Fraction(edge) for edge in leg["edges"][number : number + 2])
-        elapsed, width = middle - Fraction(leg["begin"]), high - low
-        line = arb_poly([ball((2 * elapsed - low - high) / width), ball(2 * r / width)])
+        elapsed = Interval(part.middle - Fraction(leg["begin"]), part.r)
+        line = Interval((low + high) / 2, (high - low) / 2).line(elapsed)
         series = [arb_poly([1]), line]
         while len(series) < len(piece["columns"][0]):
             series.append(2 * line * series[-1] - series[-2])
-        time = arb_poly([ball(elapsed), ball(r)])
+        time = arb_poly([ball(elapsed.middle), ball(elapsed.r)])
         powers = arb_mat([coefficients(part * time, self._count) for part in series])
         found = []
         for i in range(self._start.ncols()):
             columns = [[row[i] for row in own] for own in piece["columns"]]
             columns = [[*row, *[0.0] * (len(series) - len(row))] for row in columns]
-            part = self._readouts[number] * (arb_mat(columns) * powers)
-            first = [coefficients(self._start[k, i], self._count) for k in range(part.nrows())]
-            found.append(part + arb_mat(first))
+            moved = self._readouts[number] * (arb_mat(columns) * powers)
+            first = [coefficients(self._start[k, i], self._count) for k in range(moved.nrows())]
+            found.append(moved + arb_mat(first))
         return found
 
     def matrix(self, part: Mapping[int, arb_poly], line: arb_poly) -> arb_mat:

@@ -15,7 +15,7 @@ from typing import Any
 from flint import acb, arb, arb_mat, arb_poly, arb_series
 
 from hamsym.proof.checker.formulas import NotProvenError, ball
-from hamsym.proof.checker.functions import Polynomial, coefficients
+from hamsym.proof.checker.functions import Interval, Polynomial, coefficients
 
 #: (s at x = 0, its change with x) -> (x -> N(s)).
 _Network = Callable[[Fraction, Fraction], Callable[[Any], list[Any]]]
@@ -32,9 +32,9 @@ class Window:
     linear: bool
     network: _Network
 
-    def on(self, middle: Fraction, r: Fraction) -> Callable[[Any], list[Any]]:
-        """The function x -> z^ at t = middle + r x."""
-        start, slope = (middle - self.start) / self.tau, r / self.tau
+    def on(self, part: Interval) -> Callable[[Any], list[Any]]:
+        """The function x -> z^ on a part of the window."""
+        start, slope = (part.middle - self.start) / self.tau, part.r / self.tau
         network = self.network(start, slope)
 
         def at(x: Any) -> list[Any]:
