@@ -216,6 +216,8 @@ def forged_orbits(claims):
                 yield name, moved(claims[name], (1, *place), lambda v, w=value: w)
     for value in (1e-3 * claims["bound"], 1e-30, 0.0, -1.0, math.nan):
         yield "bound", value
+    for value in (10.0, 1e300, math.inf, -1.0, math.nan):  # within 10 it crosses the plane again
+        yield "unique_within", value
     words = ("elliptic", "hyperbolic", "mixed", "complex unstable", "parabolic", "attracting",
              "repelling", "unstable", "stable", "")  # fmt: skip
     for word in words:
@@ -559,7 +561,8 @@ def test_solutions_of_another_form_are_refused_by_the_checker_alone(every, case)
 def test_orbits_of_another_form_are_refused_by_the_checker_alone(every, monkeypatch):
     orbit = ORBITS["quarter"]()
     whole = json.loads(orbit.certify().to_json())
-    used = ("z0", "period", "bound", "monodromy", "stability", "pieces", "components")
+    used = ("z0", "period", "bound", "unique_within", "monodromy", "stability", "pieces",
+            "components")  # fmt: skip
     H, data, known = described(orbit.H), _orbit_data(orbit), []
     proven = _Orbit.proven
 

@@ -47,7 +47,7 @@ from hamsym.proof.checker.motion import End, Step, march, proven
 from hamsym.proof.checker.series import Series, exponents, term
 
 _BITS, _ORDER = 128, 24
-_EFFORT = Effort(_ORDER, 2.0**-60, _ORDER)
+_EFFORT = Effort(_ORDER, 2.0**-60, _ORDER, Fraction(1, 2**20))
 _PRODUCTS, _MOST = 1_001, 12  # of terms in a product of series; their largest degree
 _MORE = 2  # degrees in s of dy/dx, above those of y
 _SHARE = 4  # of a bound, that the distance of y from the solution may be at most
@@ -55,7 +55,6 @@ _SHARE = 4  # of a bound, that the distance of y from the solution may be at mos
 _LATE, _LEAST = 2.0**-14, 2.0**-52
 _TINY = 1e-300
 _TRIES = 4  # steps of one cell that are too long, one after the other
-_SHORTEST = Fraction(1, 2**20)  # step, of the span
 
 Box = tuple[tuple[Fraction, Fraction], ...]
 #: Polynomials in x by the number of nu.
@@ -215,7 +214,7 @@ class _Cell:
             Interval(Fraction(0), Fraction(1)), [Polynomial([z]) for z in self._end.z], [], [], 1.0
         )
         self._scales, longest = [abs(z) for z in self._end.z], Fraction(0)
-        for step in march(check.span, r, _SHORTEST, self._attempt, check.check_time):
+        for step in march(check.span, r, _EFFORT.shortest, self._attempt, check.check_time):
             self._compare(step, cuts)
             longest = max(longest, step.part.r, key=abs)
         return longest

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 from flint import arb, arb_mat, arb_poly
@@ -39,11 +40,15 @@ class Effort:
     """What makes a proof exact: numbers of Taylor coefficients, and the size of the last ones.
 
     - degree: Of V and W; derivatives of the flow are as exact as they are.
+    - shortest: Step, of the span.
+    - ways: See :func:`hamsym.proof.checker.motion.proven`.
     """
 
     order: int
     accuracy: float
     degree: int = SHORT
+    shortest: Fraction = Fraction(1, 2**40)
+    ways: int = 1
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,6 @@ from hamsym.proof.checker.functions import (
 )
 from hamsym.proof.checker.guesses import Effort, Guess
 
-_SHORTEST = Fraction(1, 2**40)  # step, of the span
 _TINY = arb(2) ** -2_000
 _TUBES = 4  # attempts at a tube
 _NEAR = arb(1) / 64  # see proven
@@ -130,12 +129,10 @@ def steps(
     effort: Effort,
     check_time: Callable[[], None],
     radii: Sequence[arb] = (),
-    ways: int = 1,
 ) -> Iterator[Step]:
     """The steps of a proof from z0, exact numbers, over a span.
 
     - radii: Of the starts around z0 for which the steps hold too; by default none.
-    - ways: See :func:`proven`.
     """
     end = End.at([arb(value) for value in z0])
     start = Interval(Fraction(0), Fraction(1))
@@ -151,12 +148,12 @@ def steps(
         )
         D = [_defect(each, part.r, f) for each, f in zip(y, rates, strict=True)]
         gap = [a - each(arb(-1)) for a, each in zip(end.z, y, strict=True)]
-        step = proven(equations, end, before, D, gap, radii, ways)
+        step = proven(equations, end, before, D, gap, radii, effort.ways)
         end = step.end
         return step, before.factor
 
     length = Fraction(span[1]) - Fraction(span[0])
-    yield from march(span, length / 64, _SHORTEST, attempt, check_time)
+    yield from march(span, length / 64, effort.shortest, attempt, check_time)
 
 
 def march(

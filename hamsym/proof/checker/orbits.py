@@ -14,6 +14,11 @@ that one enclosure of the flow contains all derivatives. The conditions F = 0 ar
 For a box X around x, K = x - C F(x) + (1 - C DF(X)) (X - x) is in the interior of X only if X
 contains exactly one zero of F (Krawczyk 1969).
 
+Another orbit within a distance of this one, at several places of the arc, would be another zero of
+the equations for the states at all of these. So there is none if the matrix B of these equations,
+averaged on the way to any state within the distance, is regular: if |1 - C B| v < v for a C and a
+v > 0.
+
 The derivative N over one shift has the multiplier 1, by the flow; the others come in pairs m, 1/m
 if H is conserved, so that 1 is a double one. Without these its characteristic polynomial is one of
 m + 1/m, whose roots are isolated: pairs are on the unit circle where it is real and below 2.
@@ -27,7 +32,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-from flint import arb, arb_mat, arb_poly, fmpz_mat
+from flint import arb, arb_mat, arb_poly, ctx, fmpz_mat
 
 from hamsym.proof.checker.formulas import FalseClaimError, NotProvenError, attempt, ball
 from hamsym.proof.checker.functions import (
@@ -35,17 +40,26 @@ from hamsym.proof.checker.functions import (
     Equations,
     column,
     identity,
+    inverse,
     krawczyk,
     roots,
+    sizes,
 )
 from hamsym.proof.checker.guesses import Effort
 from hamsym.proof.checker.invariants import vanishes
 from hamsym.proof.checker.motion import Step, steps
 
-_ATTEMPTS = ((256, Effort(58, 2.0**-188, 34)), (420, Effort(96, 2.0**-312, 60)))
+# Bits, and what is done for the orbit and for its distance from others.
+_SHORTEST = Fraction(1, 2**8)
+_ATTEMPTS = (
+    (256, Effort(58, 2.0**-188, 34), Effort(14, 2.0**-70, 12, _SHORTEST, 4)),
+    (420, Effort(96, 2.0**-312, 60), Effort(20, 2.0**-110, 18, _SHORTEST, 12)),
+)
 # Of the box, and of the part of it in which the orbit is, relative to the sizes of components.
 _RADIUS, _NARROW = arb(2) ** -90, arb(2) ** -96
 _NEWTON = 5  # boxes that are tried
+# Bits, the least distance, and the largest power of a matrix, for distances from other orbits.
+_BITS, _LEAST, _POWERS = 128, arb(2) ** -60, 60
 _KINDS = {
     "elliptic": {"circle"}, "hyperbolic": {"real"}, "mixed": {"circle", "real"},
     "complex unstable": {"complex"}, "attracting": {"inside"}, "repelling": {"outside"},
@@ -60,19 +74,18 @@ def check_orbit(
 ) -> None:
     """Prove the claims of the certificate of a periodic orbit; raise NotProvenError if one fails.
 
-    Not proven is that no other orbit is within a distance.
-
     - H: See :class:`Equations`.
     - orbit: "shift", the map S as (places, signs) of components, and "reversing", none or two such
       maps, with S the second one after the first; "energy", or "period" as "formula" and "floats",
       or none; "edges" and "ends", fractions of the arc and states there; the
       "sizes" of the components to which the bound is relative.
-    - claims: The values of its JSON, each exactly.
+    - claims: The values of its JSON, each exactly. Its pieces start at the first of the edges, and
+      at others that are chosen here.
     """
 
-    def proof(effort: Effort) -> None:
+    def proof(effort: Effort, rough: Effort) -> None:
         found = _Orbit(H, orbit, check_time)
-        _Check(found, orbit, claims, found.proven(claims, effort)).run()
+        _Check(found, orbit, claims, found.proven(claims, effort)).run(rough)
 
     attempt(_ATTEMPTS, proof)
 
@@ -234,10 +247,9 @@ class _Orbit:
         span: Sequence[Fraction | int],
         effort: Effort,
         radii: Sequence[arb],
-        ways: int = 1,
     ) -> list[Step]:
         """Steps around a state and the time of the arc, on a part of it."""
-        return [*steps(self.equations, state, span, effort, self._check_time, radii, ways)]
+        return [*steps(self.equations, state, span, effort, self._check_time, radii)]
 
     def _closing(self, end: Sequence[arb], start: Sequence[arb]) -> _Closing:
         """The conditions of boxes of states."""
@@ -340,8 +352,11 @@ class _Check:
             first, last = map(arb_mat, found.reversing)
             self._shift = first * (-J * through.transpose() * J) * last * through
 
-    def run(self) -> None:
-        """Require every claim about the orbit."""
+    def run(self, effort: Effort) -> None:
+        """Require every claim about the orbit.
+
+        - effort: For its distance from others.
+        """
         orbit, claims = self._orbit, self._claims
         period = self._s * orbit.parts if orbit.period is None else orbit.period
         field = orbit.field(self._start)
@@ -355,6 +370,10 @@ class _Check:
         self._require("derivative over one shift", self._shift.entries(), *flat)
         self._require_bound()
         self._require_word(claims["stability"])
+        if not claims["unique_within"] >= 0:
+            raise FalseClaimError("its distance from other orbits is none")
+        with ctx.workprec(_BITS):
+            self._require_unique(ball(claims["unique_within"]), effort)
 
     def _require(
         self, name: str, found: list[arb], middle: Sequence[float], radius: Sequence[float]
@@ -395,6 +414,38 @@ class _Check:
         x, tube = ball((edge - step.part.middle) / step.part.r), step.end.tube * self._shares
         near = [part(x) + t * UNIT for part, t in zip(step.y, tube.entries(), strict=True)]
         return near[:-1]
+
+    def _require_unique(self, within: arb, effort: Effort) -> None:
+        """No other orbit is within a distance at the starts of all pieces, and in the period."""
+        orbit, pieces, edges = self._orbit, self._claims["pieces"], self._edges
+        within = within.max(_LEAST) * 64 / 63
+        places = [edges[k * (len(edges) - 1) // pieces] for k in range(pieces + 1)]
+        units = [*orbit.units, *orbit.sizes * (pieces - 1), self._s.mid()]
+        start = orbit.states([unit * within * UNIT for unit in (*orbit.units, self._s.mid())])
+        maps: list[arb_mat] = []
+        for k in range(pieces):
+            near = [*(self._at(places[k]) if k else self._start), self._s]
+            radii = [(size * within).abs_upper() for size in (*orbit.sizes, self._s.mid())]
+            if k == 0:
+                radii = [value.abs_upper() for value in start]
+            middle = [value.mid() for value in near]
+            rows = zip(near, middle, radii, strict=True)
+            if not all(abs(a - b) * 64 <= radius for a, b, radius in rows):
+                raise NotProvenError("its distance from other orbits is not proven: it is small")
+            found = orbit.steps(middle, places[k : k + 2], effort, radii)
+            maps.append(found[-1].end.derivative())
+        box = [a + b for a, b in zip(self._start, start, strict=False)]
+        whole = orbit.matrix(self._proof.closing, maps, box)
+        whole = arb_mat([[v * u for v, u in zip(r, units, strict=True)] for r in whole.tolist()])
+        rest = sizes(identity(len(units)) - inverse(whole) * whole)
+        v = column([arb(1)] * len(units))
+        for _ in range(_POWERS):
+            moved = rest * v
+            if all(a < b for a, b in zip(moved.entries(), v.entries(), strict=True)):
+                return
+            largest = max(moved.entries())
+            v = column([(value / largest + 2.0**-20).mid() for value in moved.entries()])
+        raise NotProvenError("its distance from other orbits is not proven")
 
     # -- stability ----------------------------------------------------------------------------
 
