@@ -372,8 +372,12 @@ class _Check:
         self._require_word(claims["stability"])
         if not claims["unique_within"] >= 0:
             raise FalseClaimError("its distance from other orbits is none")
-        with ctx.workprec(_BITS):
-            self._require_unique(ball(claims["unique_within"]), effort)
+        try:
+            with ctx.workprec(_BITS):
+                self._require_unique(ball(claims["unique_within"]), effort)
+        except NotProvenError as error:
+            text = f"its distance from other orbits is not proven: {error}"
+            raise NotProvenError(text) from None
 
     def _require(
         self, name: str, found: list[arb], middle: Sequence[float], radius: Sequence[float]
@@ -431,7 +435,7 @@ class _Check:
             middle = [value.mid() for value in near]
             rows = zip(near, middle, radii, strict=True)
             if not all(abs(a - b) * 64 <= radius for a, b, radius in rows):
-                raise NotProvenError("its distance from other orbits is not proven: it is small")
+                raise NotProvenError("the orbit is not known so well")
             found = orbit.steps(middle, places[k : k + 2], effort, radii)
             maps.append(found[-1].end.derivative())
         box = [a + b for a, b in zip(self._start, start, strict=False)]
@@ -445,7 +449,7 @@ class _Check:
                 return
             largest = max(moved.entries())
             v = column([(value / largest + 2.0**-20).mid() for value in moved.entries()])
-        raise NotProvenError("its distance from other orbits is not proven")
+        raise NotProvenError("the equations may be singular")
 
     # -- stability ----------------------------------------------------------------------------
 
