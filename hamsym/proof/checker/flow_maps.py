@@ -42,7 +42,7 @@ from hamsym.proof.checker.functions import (
     expanded,
 )
 from hamsym.proof.checker.guesses import Effort, Guess
-from hamsym.proof.checker.map_polynomials import DEEPEST, LegOnCell, WideCellError
+from hamsym.proof.checker.map_polynomials import LegOnCell
 from hamsym.proof.checker.motion import End, Step, march, proven
 from hamsym.proof.checker.series import Series, exponents, term
 
@@ -54,6 +54,7 @@ _SHARE = 4  # of a bound, that the distance of y from the solution may be at mos
 # Share of a bound, and of the states, that powers of x left out of a step may be.
 _LATE, _LEAST = 2.0**-14, 2.0**-52
 _TINY = 1e-300
+_DEEPEST = 12  # halvings of cells
 _TRIES = 4  # steps of one cell that are too long, one after the other
 
 Box = tuple[tuple[Fraction, Fraction], ...]
@@ -129,22 +130,21 @@ class _Check:
     def run(self) -> None:
         r = (self.span[1] - self.span[0]) / 4
         for leg, box in _regions(self._flow["map"], self._box):
-            cuts, waiting = _cuts(leg, self.span), [(box, 0.0)]
+            cuts, waiting = _cuts(leg, self.span), [(box, 0)]
             while waiting:
-                cell, spent = waiting.pop()
+                cell, depth = waiting.pop()
                 proof = _Cell(self, leg, cell)
                 try:
                     r = proof.run(cuts, r)
                 except FalseClaimError:
                     raise
-                except (NotProvenError, WideCellError) as error:
-                    spent += getattr(error, "cost", 1 / DEEPEST)
-                    if not spent < 1:
+                except (NotProvenError, _WideCellError) as error:
+                    if depth == _DEEPEST:
                         raise NotProvenError(f"{error}, in a small part of the box") from None
                     k = proof.axis(box)
                     low, high = cell[k]
                     for half in ((low, (low + high) / 2), ((low + high) / 2, high)):
-                        waiting.append(((*cell[:k], half, *cell[k + 1 :]), spent))
+                        waiting.append(((*cell[:k], half, *cell[k + 1 :]), depth + 1))
 
 
 def _regions(map: Mapping[str, Any], box: Box) -> Iterator[tuple[Mapping[str, Any], Box]]:
@@ -178,6 +178,10 @@ def _cuts(leg: Mapping[str, Any], span: Sequence[Fraction]) -> list[Fraction]:
 
 
 # -- cells ----------------------------------------------------------------------------------------
+
+
+class _WideCellError(Exception):
+    """There is no proof on a cell, for which shorter steps are no remedy."""
 
 
 class _Cell:
@@ -239,10 +243,10 @@ class _Cell:
         except NotProvenError as error:
             self._failed += 1
             if self._failed == _TRIES:
-                raise WideCellError(str(error)) from None
+                raise _WideCellError(str(error)) from None
             raise
         if not all(_SHARE * gap <= ball(b) for gap, b in zip(step.tube, bounds, strict=False)):
-            raise WideCellError("no polynomial is near enough to the solutions")
+            raise _WideCellError("no polynomial is near enough to the solutions")
         self._failed, self._end, self._before, self._y = 0, step.end, found, y
         self._ends = [{key: _at(each, key, 1) for key in self._keys(self._m)} for each in y]
         self._loose = [arb(0)] * self._dim
@@ -317,7 +321,8 @@ class _Cell:
                 pairs = zip(pieces, self._y, step.tube, self._check.bounds, strict=False)
                 for i, (piece, terms, distance, bound) in enumerate(pairs):
                     gap = piece - self._map.matrix(terms, line)
-                    self._map.space.require_below(gap, ball(bound), distance, self._check.names[i])
+                    name = f"the error of {self._check.names[i]}"
+                    self._map.space.require_below(gap, ball(bound), distance, name)
 
     def axis(self, box: Box) -> int:
         """The input that the defect is due to, else that with the largest part of its interval."""

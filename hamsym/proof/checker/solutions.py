@@ -14,7 +14,7 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import Any
 
-from flint import arb, arb_poly, ctx
+from flint import arb, arb_mat, arb_poly, ctx
 
 from hamsym.proof.checker.formulas import (
     FalseClaimError,
@@ -23,13 +23,21 @@ from hamsym.proof.checker.formulas import (
     ball,
     exact,
 )
-from hamsym.proof.checker.functions import UNIT, Equations, Interval, Polynomial, expanded
+from hamsym.proof.checker.functions import (
+    UNIT,
+    Equations,
+    Interval,
+    Polynomial,
+    coefficients,
+    expanded,
+)
 from hamsym.proof.checker.guesses import Effort
 from hamsym.proof.checker.motion import Step, steps
+from hamsym.proof.checker.polynomials import Polynomials, polynomials
 from hamsym.proof.checker.trials import Window, windows
 
 _ATTEMPTS = ((208, Effort(46, 2.0**-150)), (400, Effort(88, 2.0**-286)))
-_HALVINGS = 50  # of -1 <= x <= 1
+_COUNTS = 16  # numbers of coefficients are multiples of it
 _DEPTH = 14  # of divisions of a part of the span, where z^ is not resolved
 _COARSE = 80  # bits of sums of squares
 _NEGLIGIBLE = arb(2) ** -60
@@ -120,9 +128,10 @@ class _Check:
         piece = self._pieces[bisect_right(self._edges, place) - 1]
         try:
             groups = self._groups(step, window, Interval((a + b) / 2, (b - a) / 2), order)
-            for k, square in groups.items():
+            for k, (space, square) in groups.items():
                 limit = min(self._uppers[k], piece) if k == 0 else self._uppers[k]
-                _require_below(square, limit, self._names[k])
+                if limit < math.inf:
+                    space.require_below(square, ball(limit) ** 2, arb(0), self._names[k])
         except FalseClaimError:
             raise
         except NotProvenError:
@@ -131,11 +140,14 @@ class _Check:
             for low, high in ((a, (a + b) / 2), ((a + b) / 2, b)):
                 self._part(step, low, high, order, depth - 1)
         else:
-            self._open -= {k for k in self._open if _reaches(groups[k], self._lowers[k])}
+            for k in self._open & {k for k in self._open if self._lowers[k] < math.inf}:
+                space, square = groups[k]
+                if space.reaches(square, ball(self._lowers[k]) ** 2):
+                    self._open.remove(k)
 
     def _groups(
         self, step: Step, window: Window, part: Interval, order: int
-    ) -> dict[int, arb_poly]:
+    ) -> dict[int, tuple[Polynomials, arb_mat]]:
         """|g|^2 for each of the errors, the energy error and the residual that has a claim."""
         equations, dim, inverse = self._equations, self._equations.dim, ball(1 / part.r)
         line, trial = step.part.line(part), window.on(part)
@@ -193,7 +205,7 @@ def _with_rest(series: list[arb], rest: arb) -> list[arb]:
     return [series[0] + UNIT * rest, *series[1:]]
 
 
-def _square(rows: Sequence[Sequence[arb]]) -> arb_poly:
+def _square(rows: Sequence[Sequence[arb]]) -> tuple[Polynomials, arb_mat]:
     """|g|^2 from the Taylor coefficients of g; small ones become radii."""
     total = arb_poly()
     with ctx.workprec(_COARSE):
@@ -204,48 +216,5 @@ def _square(rows: Sequence[Sequence[arb]]) -> arb_poly:
                 last -= 1
             part = arb_poly(_with_rest(list(row[:last]), sum(sizes[last:], arb(0))))
             total += part * part
-    return total
-
-
-def _halves(square: arb_poly) -> tuple[arb_poly, arb_poly]:
-    half = arb(0.5)
-    return square(arb_poly([-half, half])), square(arb_poly([half, half]))
-
-
-def _spread(part: arb_poly) -> arb:
-    """How much the values of a polynomial differ from that at x = 0, at most."""
-    return sum(map(abs, part.coeffs()[1:]), arb(0)).abs_upper()
-
-
-def _require_below(square: arb_poly, limit: Bound, name: str) -> None:
-    """Prove |g|^2 <= limit^2 for -1 <= x <= 1."""
-    if limit == math.inf:
-        return
-    with ctx.workprec(_COARSE):
-        squared, parts = ball(limit) ** 2, [(square, 0)]
-        while parts:
-            part, depth = parts.pop()
-            spread = _spread(part)
-            if part[0] + spread <= squared:
-                continue
-            if part[0] > squared:
-                raise FalseClaimError(f"its claim about {name} is false: it is larger")
-            if depth == _HALVINGS or not spread > part[0].rad():
-                raise NotProvenError(f"its claim about {name} is not proven")
-            parts += [(half, depth + 1) for half in _halves(part)]
-
-
-def _reaches(square: arb_poly, limit: Bound) -> bool:
-    """Whether |g| >= limit is proven somewhere."""
-    if limit == math.inf:
-        return False
-    with ctx.workprec(_COARSE):
-        squared, parts = ball(limit) ** 2, [(square, 0)]
-        while parts:
-            part, depth = parts.pop()
-            if any(part(arb(x)) >= squared for x in (-1, 0, 1)):
-                return True
-            spread = _spread(part)
-            if depth < _HALVINGS and spread > part[0].rad() and not part[0] + spread < squared:
-                parts += [(half, depth + 1) for half in _halves(part)]
-    return False
+    count = -(-max(len(total), 1) // _COUNTS) * _COUNTS
+    return polynomials(0, 0, count), arb_mat([coefficients(total, count)])
