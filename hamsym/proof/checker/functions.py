@@ -20,7 +20,7 @@ from hamsym.proof.checker.formulas import Formulas, NotProvenError, ball
 
 UNIT = arb(0, 1)  # all numbers up to 1 in size
 COARSE = 53  # bits of values on discs
-DISCS, _DIVISIONS = (6, 5), 4  # of discs that are tried, and squares on a radius
+_DISCS, _DIVISIONS = (6, 5), 4  # of discs that are tried, and squares on a radius
 
 
 class Equations:
@@ -136,24 +136,15 @@ def expanded(at: Callable[[Any], Sequence[Any]], order: int) -> list[Expansion]:
     - at: x -> values of the functions, for x as a power series or as a ball of complex numbers.
     """
     first = series_of(at, order)
-    for R in DISCS:
-        bounds = suprema(lambda R: [at(square) for square in squares(R)], R)
-        if bounds is not None:
-            return [Expansion(*pair, R) for pair in zip(first, bounds, strict=True)]
+    for R in _DISCS:
+        with contextlib.suppress(NotProvenError), ctx.workprec(COARSE):
+            values = [at(square) for square in squares(R)]
+            # A NaN is not larger than any number: all are looked at before the largest is taken.
+            if all(value.is_finite() for each in values for value in each):
+                columns = zip(*values, strict=True)
+                M = [max(abs(value).abs_upper() for value in each) for each in columns]
+                return [Expansion(*pair, R) for pair in zip(first, M, strict=True)]
     raise NotProvenError("a function is not smooth there, or changes too fast")
-
-
-def suprema(around: Callable[[Any], Sequence[Sequence[Any]]], place: Any) -> list[arb] | None:
-    """Bounds on functions; None where they have no finite values.
-
-    - around: A place -> the values of the functions on sets that cover it.
-    """
-    with contextlib.suppress(NotProvenError), ctx.workprec(COARSE):
-        values = around(place)
-        # A NaN is not larger than any number: all are looked at before the largest is taken.
-        if all(value.is_finite() for each in values for value in each):
-            return [max(abs(v).abs_upper() for v in each) for each in zip(*values, strict=True)]
-    return None
 
 
 def series_of(at: Callable[[Any], Sequence[Any]], order: int) -> list[list[arb]]:
@@ -165,6 +156,14 @@ def coefficients(value: Any, count: int) -> list[arb]:
     """The first coefficients of a number, a polynomial or a series."""
     found = value.coeffs()[:count] if hasattr(value, "coeffs") else [arb(value)]
     return [*found, *[arb(0)] * (count - len(found))]
+
+
+def chebyshev(y: Any, count: int) -> list[Any]:
+    """The first Chebyshev polynomials of a polynomial or a power series."""
+    found = [y * 0 + 1, y]
+    while len(found) < count:
+        found.append(2 * y * found[-1] - found[-2])
+    return found[:count]
 
 
 def squares(R: int) -> Iterator[acb]:

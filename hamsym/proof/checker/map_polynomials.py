@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 from flint import arb, arb_mat, arb_poly
 
 from hamsym.proof.checker.formulas import ball
-from hamsym.proof.checker.functions import Interval, coefficients
+from hamsym.proof.checker.functions import Interval, chebyshev, coefficients
 from hamsym.proof.checker.polynomials import polynomials
 from hamsym.proof.checker.series import Series, exponents, term
 
@@ -39,35 +40,27 @@ class LegOnCell:
         # t - t_a is a factor of the series in time.
         self._count = 1 + max(powers, *(len(piece["columns"][0]) for piece in leg["pieces"]))
         self.space = polynomials(len(given), degree, self._count)
-        self._y = [_affine(*row, given) for row in zip(leg["scaling"], leg["shift"], strict=True)]
-        self._lines = [[y * 0 + 1, y] for y in self._y]
-        self._products = {(0,) * len(self._y): self._y[0] * 0 + 1}
+        y = [_affine(*row, given) for row in zip(leg["scaling"], leg["shift"], strict=True)]
+        self._one, self._lines = y[0] * 0 + 1, [chebyshev(each, degree + 1) for each in y]
+        self._products: dict[tuple[int, ...], list[Any]] = {}
         starts = zip(leg["selection"], leg["offset"], strict=True)
-        self._start = self._rows([_affine(*row, given) for row in starts]).transpose()
+        self._start = arb_mat([self._row(_affine(*row, given)) for row in starts]).transpose()
         if leg["start"]:
             self._start += self._sums(leg["start_degrees"], leg["start"])
 
-    def _chebyshev(self, nu: tuple[int, ...]) -> Series:
-        """T_nu(y)."""
-        if nu not in self._products:
-            k = max(k for k, power in enumerate(nu) if power)
-            known = self._lines[k]
-            while len(known) <= nu[k]:
-                known.append(2 * self._y[k] * known[-1] - known[-2])
-            lower = self._chebyshev((*nu[:k], 0, *nu[k + 1 :]))
-            self._products[nu] = lower * known[nu[k]]
-        return self._products[nu]
-
-    def _rows(self, series: Sequence[Series]) -> arb_mat:
-        return arb_mat([[term(each, key) for key in self._keys] for each in series])
+    def _row(self, series: Series) -> list[Any]:
+        return [term(series, key) for key in self._keys]
 
     def _sums(
         self, degrees: Sequence[Sequence[int]], weights: Sequence[Sequence[float]]
     ) -> arb_mat:
         """Sums of weights[nu, r] T_nu(y): terms in rows, r in columns."""
-        return self._rows([self._chebyshev(tuple(nu)) for nu in degrees]).transpose() * arb_mat(
-            [list(row) for row in weights]
-        )
+        for nu in map(tuple, degrees):
+            if nu not in self._products:
+                factors = [T[n] for T, n in zip(self._lines, nu, strict=True) if n]
+                self._products[nu] = self._row(math.prod(factors, start=self._one))
+        rows = arb_mat([self._products[tuple(nu)] for nu in degrees])
+        return rows.transpose() * arb_mat([list(row) for row in weights])
 
     def states(self, number: int, part: Interval) -> list[arb_mat]:
         """z^ on a part of a piece: terms of s in rows, powers of x in columns."""
@@ -77,16 +70,13 @@ class LegOnCell:
         low, high = (Fraction(edge) for edge in leg["edges"][number : number + 2])
         elapsed = Interval(part.middle - Fraction(leg["begin"]), part.r)
         line = Interval((low + high) / 2, (high - low) / 2).line(elapsed)
-        series = [arb_poly([1]), line]
-        while len(series) < len(piece["columns"][0]):
-            series.append(2 * line * series[-1] - series[-2])
         time = arb_poly([ball(elapsed.middle), ball(elapsed.r)])
-        powers = arb_mat([coefficients(part * time, self._count) for part in series])
+        series = chebyshev(line, len(piece["columns"][0]))
+        powers = arb_mat([coefficients(each * time, self._count) for each in series])
         found = []
         for i in range(self._start.ncols()):
-            columns = [[row[i] for row in own] for own in piece["columns"]]
-            columns = [[*row, *[0.0] * (len(series) - len(row))] for row in columns]
-            moved = self._readouts[number] * (arb_mat(columns) * powers)
+            columns = arb_mat([[row[i] for row in own] for own in piece["columns"]])
+            moved = self._readouts[number] * (columns * powers)
             first = [coefficients(self._start[k, i], self._count) for k in range(moved.nrows())]
             found.append(moved + arb_mat(first))
         return found

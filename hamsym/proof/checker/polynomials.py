@@ -83,7 +83,7 @@ class Polynomials:
             part, depth = parts.pop()
             series = (self._of_s * part * self._of_x).tolist()
             sizes = [[value.abs_upper() for value in row] for row in series]
-            size = sum(map(sum, sizes), arb(0))
+            size = sum((value for row in sizes for value in row), arb(0))
             if is_done(size):
                 continue
             last = depth == _HALVINGS or not size - sizes[0][0] > part[0, 0].rad()
