@@ -43,7 +43,7 @@ from hamsym.proof.checker.functions import (
 )
 from hamsym.proof.checker.guesses import Effort, Guess
 from hamsym.proof.checker.map_polynomials import LegOnCell
-from hamsym.proof.checker.motion import End, Step, march, proven
+from hamsym.proof.checker.motion import Step, march, proven
 from hamsym.proof.checker.series import Series, exponents, term
 
 _BITS, _ORDER = 128, 24
@@ -213,11 +213,9 @@ class _Cell:
         self._ends = [{key: arb(term(start, key)) for key in keys} for start in starts]
         rests = check.start(self._inputs(self._n + 1, UNIT))
         self._loose = [sum((abs(term(value, key)) for key in last), arb(0)) for value in rests]
-        self._end = End.at([ends[0] for ends in self._ends])
-        self._before = Guess(
-            Interval(Fraction(0), Fraction(1)), [Polynomial([z]) for z in self._end.z], [], [], 1.0
-        )
-        self._scales, longest = [abs(z) for z in self._end.z], Fraction(0)
+        self._step = Step.at([ends[0] for ends in self._ends])
+        self._y: list[Terms] = [{0: each.real} for each in self._step.y]
+        self._scales, longest = [abs(ends[0]) for ends in self._ends], Fraction(0)
         for step in march(check.span, r, _EFFORT.shortest, self._attempt, check.check_time):
             self._compare(step, cuts)
             longest = max(longest, step.part.r, key=abs)
@@ -231,7 +229,9 @@ class _Cell:
     def _attempt(self, part: Interval) -> tuple[Step, float]:
         """Prove a step."""
         z, bounds = [ends[0].mid() for ends in self._ends], self._check.bounds
-        found = guesses.guess(self._check.equations, z, self._before, part, _EFFORT, self._scales)
+        line, equations = self._step.part.line(part), self._check.equations
+        near = [each[0](line) for each in self._y]
+        found = guesses.guess(equations, z, near, part, _EFFORT, self._scales)
         y = self._family(found)
         ranges = [Polynomial(_range_of(each)) for each in y]
         wide = Guess(part, ranges, found.V, found.W, found.factor)
@@ -239,7 +239,7 @@ class _Cell:
             D, gap = self._defect(y, wide), []
             for each, ends, loose in zip(y, self._ends, self._loose, strict=True):
                 gap.append(sum((abs(end - _at(each, key, -1)) for key, end in ends.items()), loose))
-            step = proven(self._check.equations, self._end, wide, D, gap)
+            step = proven(equations, self._step, wide, D, gap)
         except NotProvenError as error:
             self._failed += 1
             if self._failed == _TRIES:
@@ -247,7 +247,7 @@ class _Cell:
             raise
         if not all(_SHARE * gap <= ball(b) for gap, b in zip(step.tube, bounds, strict=False)):
             raise _WideCellError("no polynomial is near enough to the solutions")
-        self._failed, self._end, self._before, self._y = 0, step.end, found, y
+        self._failed, self._step, self._y = 0, step, y
         self._ends = [{key: _at(each, key, 1) for key in self._keys(self._m)} for each in y]
         self._loose = [arb(0)] * self._dim
         return step, found.factor

@@ -68,18 +68,17 @@ class Guess:
 def guess(
     equations: Equations,
     z: Sequence[arb],
-    before: Guess,
+    near: Sequence[arb_poly],
     part: Interval,
     effort: Effort,
     scales: list[arb],
 ) -> Guess:
-    """Newton's method from polynomials near the solution, those of the step before.
+    """Newton's method from polynomials near the solution, as those of the step before.
 
     - z: The state at the start of the step.
     - scales: Sizes of the components so far, which are updated.
     """
-    change, line, r = 1.0, before.part.line(part), part.r
-    y = [Polynomial([c.mid() for c in each.real(line).coeffs()]) for each in before.y]
+    change, r, y = 1.0, part.r, [Polynomial([c.mid() for c in each.coeffs()]) for each in near]
 
     def at(x: Any) -> list[Any]:
         return [*(each(x) for each in y), part.time(x)]

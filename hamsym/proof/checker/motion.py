@@ -62,48 +62,49 @@ Found = TypeVar("Found")
 
 
 @dataclass(frozen=True)
-class End:
-    """What is known at the end of a step: balls of y(1), and the bounds.
-
-    - U: On u, of the solution from z0, and on changes of u for a difference of one at the start in
-      each component.
-    - tube: On e, and on these differences.
-    """
-
-    z: list[arb]
-    U: arb_mat
-    S: arb_mat  # about the inverse of the derivative by the initial state, F
-    F: arb_mat
-    PW: arb_mat
-    tube: arb_mat
-
-    @classmethod
-    def at(cls, z0: Sequence[arb]) -> End:
-        """The start of all steps, exact numbers."""
-        one = identity(len(z0))
-        return cls([*z0], 0 * _beside(z0, one), one, one, one, _beside([arb(0)] * len(z0), one))
-
-    def state(self) -> arb_mat:
-        """The solution from z0."""
-        return column([z + self.tube[i, 0] * UNIT for i, z in enumerate(self.z)])
-
-    def derivative(self) -> arb_mat:
-        """All derivatives by the start, and averages of them."""
-        changes = arb_mat([row[1:] for row in self.U.tolist()]) * UNIT
-        try:
-            return self.PW.inv() * (identity(len(self.z)) + changes)
-        except ZeroDivisionError:
-            raise NotProvenError("the derivative of the flow is not bounded") from None
-
-
-@dataclass(frozen=True)
 class Step:
-    """A step on which |z_i - y_i(x)| <= tube_i."""
+    """A step on which |z_i - y_i(x)| <= tube_i, and what is known at its end.
+
+    - radii: Of the starts around z0.
+    - widths: Bounds on e, and on differences of solutions for one of the starts in each component.
+    - U: Bounds on u, and on its change for these differences.
+    - F, S: About the derivative by the initial state, and its inverse.
+    """
 
     part: Interval
     y: list[Polynomial]
-    tube: list[arb]
-    end: End
+    radii: Sequence[arb]
+    widths: arb_mat
+    U: arb_mat
+    S: arb_mat
+    F: arb_mat
+    PW: arb_mat
+
+    @classmethod
+    def at(cls, z0: Sequence[arb], radii: Sequence[arb] = ()) -> Step:
+        """Before the first step, at exact numbers; by default with no starts around them."""
+        one, zero = identity(len(z0)), [arb(0)] * len(z0)
+        start, widths = Interval(Fraction(0), Fraction(1)), _beside(zero, one)
+        y = [Polynomial([z]) for z in z0]
+        return cls(start, y, radii or zero, widths, 0 * widths, one, one, one)
+
+    @property
+    def tube(self) -> list[arb]:
+        found = self.widths * column([arb(1), *self.radii])
+        return [value.abs_upper() for value in found.entries()]
+
+    def states(self, x: arb, radii: Sequence[arb]) -> list[arb]:
+        """The solutions from all starts within radii."""
+        tube = self.widths * column([arb(1), *radii])
+        return [each(x) + T * UNIT for each, T in zip(self.y, tube.entries(), strict=True)]
+
+    def derivative(self) -> arb_mat:
+        """All derivatives of the end by the start, and averages of them."""
+        changes = arb_mat([row[1:] for row in self.U.tolist()]) * UNIT
+        try:
+            return self.PW.inv() * (identity(len(self.y)) + changes)
+        except ZeroDivisionError:
+            raise NotProvenError("the derivative of the flow is not bounded") from None
 
 
 def _distance(X: list[arb_mat], Y: list[arb_mat], Z: list[arb_mat]) -> arb_mat:
@@ -134,23 +135,22 @@ def steps(
 
     - radii: Of the starts around z0 for which the steps hold too; by default none.
     """
-    end = End.at([arb(value) for value in z0])
-    start = Interval(Fraction(0), Fraction(1))
-    before = Guess(start, [Polynomial([value]) for value in end.z], [], [], 1.0)
-    scales = [abs(value) for value in end.z]
+    step = Step.at([arb(value) for value in z0], radii)
+    scales = [abs(each(arb(0))) for each in step.y]
 
     def attempt(part: Interval) -> tuple[Step, float]:
-        nonlocal before, end
-        before = guesses.guess(equations, end.z, before, part, effort, scales)
-        y = before.y
+        nonlocal step
+        z, line = [each(arb(1)) for each in step.y], step.part.line(part)
+        near = [each.real(line) for each in step.y]
+        guess = guesses.guess(equations, z, near, part, effort, scales)
+        y = guess.y
         rates = expanded(
             lambda x: equations.run_rates([*(each(x) for each in y), part.time(x)]), effort.order
         )
         D = [_defect(each, part.r, f) for each, f in zip(y, rates, strict=True)]
-        gap = [a - each(arb(-1)) for a, each in zip(end.z, y, strict=True)]
-        step = proven(equations, end, before, D, gap, radii, effort.ways)
-        end = step.end
-        return step, before.factor
+        gap = [a - each(arb(-1)) for a, each in zip(z, y, strict=True)]
+        step = proven(equations, step, guess, D, gap, effort.ways)
+        return step, guess.factor
 
     length = Fraction(span[1]) - Fraction(span[0])
     yield from march(span, length / 64, effort.shortest, attempt, check_time)
@@ -195,11 +195,10 @@ def _defect(y: Polynomial, r: Fraction, f: Expansion) -> arb:
 
 def proven(
     equations: Equations,
-    before: End,
+    before: Step,
     guess: Guess,
     D: Sequence[arb],
     gap: Sequence[arb],
-    radii: Sequence[arb] = (),
     ways: int = 1,
 ) -> Step:
     """Prove a step by the lemma of the module's docstring.
@@ -207,31 +206,26 @@ def proven(
     - guess: Its y may have balls as coefficients: the step then holds for each y in them that has
       these bounds.
     - D, gap: Bounds on the defect of y, and on what y(-1) differs from the end of the step before.
-    - radii: Of the starts around that of y.
     - ways: If more than one, A is the average over so many parts of the way from one solution,
       whose start is within 1/64 of the radii, to another one within 63/64 of them from it. Where
       the derivative of the flow is meant it is 1.
     """
     part, y, V, W, one = guess.part, guess.y, guess.V, guess.W, identity(equations.dim)
-    zero = [arb(0)] * equations.dim
-    radii = radii or zero
-
-    def within(tube: arb_mat, share: arb) -> list[arb]:
-        return (tube * column([arb(1), *(radius * share for radius in radii)])).entries()
 
     def around(x: Any) -> list[Any]:
         found, middle = [], [each(x) for each in y]
         for n in range(1, ways + 1):
             share = arb(1) if n == ways else arb(n) / ways + _NEAR
-            near = [a + T * UNIT for a, T in zip(middle, within(tube, share), strict=True)]
+            T = tube * column([arb(1), *(radius * share for radius in before.radii)])
+            near = [a + t * UNIT for a, t in zip(middle, T.entries(), strict=True)]
             found.append(equations.run_slopes([*near, part.time(x)]))
         return [sum(each, arb(0)) / ways for each in zip(*found, strict=True)]
 
-    added, units = _beside(D, 0 * one), _beside(zero, one)
+    added, units = _beside(D, 0 * one), _beside([arb(0)] * equations.dim, one)
     slope = [-(each * arb(k)) for k, each in enumerate(W)][1:]  # of -W
     P, Q = (before.S * end_of(V, -1)).mid(), (end_of(W, -1) * before.F).mid()
     start = P * end_of(W, -1)
-    U = before.U + sizes(start - before.PW) * before.tube
+    U = before.U + sizes(start - before.PW) * before.widths
     U += _beside((sizes(start) * sizes(column(gap))).entries(), 0 * one)
     P_size, Q_size, two = sizes(P), sizes(Q), arb(2)
     V_size, W_size = total([sizes(v) for v in V]), total([sizes(w) for w in W])
@@ -245,8 +239,6 @@ def proven(
         u = U + P_size * (E * tube + W_size * added) * two
         found = V_size * (Q_size * (u + units) + inverse * (W_size * tube)) + rest * tube
         if all(a < b for a, b in zip(found.entries(), tube.entries(), strict=True)):
-            z, PW = [each(arb(1)) for each in y], P * end_of(W, 1)
-            F = (end_of(V, 1) * Q).mid()
-            end = End(z, sizes(u), PW.mid(), F, PW, sizes(found))
-            return Step(part, y, [value.abs_upper() for value in within(found, arb(1))], end)
+            PW, F = P * end_of(W, 1), (end_of(V, 1) * Q).mid()
+            return Step(part, y, before.radii, sizes(found), sizes(u), PW.mid(), F, PW)
     raise NotProvenError("the bound on the distance of the solution does not close")

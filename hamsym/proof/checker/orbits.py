@@ -50,7 +50,7 @@ from hamsym.proof.checker.invariants import vanishes
 from hamsym.proof.checker.motion import Step, steps
 
 # Bits, and what is done for the orbit and for its distance from others.
-_SHORTEST = Fraction(1, 2**8)
+_SHORTEST = Fraction(1, 2**13)
 _ATTEMPTS = (
     (256, Effort(58, 2.0**-188, 34), Effort(14, 2.0**-70, 12, _SHORTEST, 4)),
     (420, Effort(96, 2.0**-312, 60), Effort(20, 2.0**-110, 18, _SHORTEST, 12)),
@@ -104,11 +104,15 @@ def _map(places: Sequence[int], signs: Sequence[int]) -> fmpz_mat:
     return S
 
 
+def _poisson(dim: int) -> fmpz_mat:
+    """J, with dz/dt = J grad H."""
+    half, n = dim // 2, range(dim)
+    return fmpz_mat([[(j == i + half) - (i == j + half) for j in n] for i in n])
+
+
 def _direction(S: fmpz_mat) -> int:
     """1 if a map is canonical, -1 if it reverses time."""
-    dim = S.nrows()
-    J = fmpz_mat([[(j == i + dim // 2) - (i == j + dim // 2) for j in range(dim)]
-                  for i in range(dim)])  # fmt: skip
+    J = _poisson(S.nrows())
     moved = S * J * S.transpose()
     if moved not in (J, -J):
         raise NotProvenError("the symmetry of the orbit is not canonical")
@@ -224,10 +228,10 @@ class _Orbit:
             box = [c + each for c, each in zip(centre, around, strict=True)]
             radii = [value.abs_upper() for value in self.states(around)]
             found = self.steps(self.states(centre), (0, 1), effort, radii)
-            last, DZ, starts = found[-1], found[-1].end.derivative(), self.states(box)[:-1]
-            wide = [part(arb(1)) + t * UNIT for part, t in zip(last.y, last.tube, strict=True)]
-            closing = self._closing(wide[:-1], starts)
-            values = self._values(closing, self.states(centre), last.end.state().entries())
+            last, DZ, starts = found[-1], found[-1].derivative(), self.states(box)[:-1]
+            closing = self._closing(last.states(arb(1), radii)[:-1], starts)
+            end = last.states(arb(1), [arb(0)] * len(radii))
+            values = self._values(closing, self.states(centre), end)
             image = krawczyk(centre, box, values, self.matrix(closing, [DZ], starts))
             near = [abs(a - c) for a, c in zip(image, centre, strict=True)]
             if all(b.contains_interior(a) for a, b in zip(image, box, strict=True)):
@@ -242,11 +246,7 @@ class _Orbit:
         return proven
 
     def steps(
-        self,
-        state: Sequence[arb],
-        span: Sequence[Fraction | int],
-        effort: Effort,
-        radii: Sequence[arb],
+        self, state: Sequence[arb], span: Sequence[Any], effort: Effort, radii: Sequence[arb]
     ) -> list[Step]:
         """Steps around a state and the time of the arc, on a part of it."""
         return [*steps(self.equations, state, span, effort, self._check_time, radii)]
@@ -339,17 +339,15 @@ class _Check:
         self._edges, self._ends = [Fraction(edge) for edge in orbit["edges"]], orbit["ends"]
         apart = zip(proof.box, proof.centre, strict=True)
         near = [(a - c).abs_upper() * UNIT for a, c in apart]
-        # of the orbit around the solution from the centre
-        self._shares = column([arb(1), *(abs(v).abs_upper() for v in found.states(near))])
+        #: Of the orbit around the solution from the centre.
+        self._radii = [abs(value).abs_upper() for value in found.states(near)]
         *self._start, self._s = found.states(proof.box)
         dim = len(self._start)
         through = arb_mat([row[:dim] for row in proof.DZ.tolist()[:dim]])
         if found.reversing is None:
             self._shift = arb_mat(found.shift.transpose()) * through
         else:
-            units = identity(dim).tolist()
-            J = arb_mat([*units[dim // 2 :], *([-v for v in row] for row in units[: dim // 2])])
-            first, last = map(arb_mat, found.reversing)
+            J, first, last = map(arb_mat, (_poisson(dim), *found.reversing))
             self._shift = first * (-J * through.transpose() * J) * last * through
 
     def run(self, effort: Effort) -> None:
@@ -415,9 +413,8 @@ class _Check:
     def _at(self, edge: Fraction) -> list[arb]:
         """The state of the orbit at a fraction of the arc."""
         step = next(step for step in self._proof.steps if step.part.middle + step.part.r >= edge)
-        x, tube = ball((edge - step.part.middle) / step.part.r), step.end.tube * self._shares
-        near = [part(x) + t * UNIT for part, t in zip(step.y, tube.entries(), strict=True)]
-        return near[:-1]
+        x = ball((edge - step.part.middle) / step.part.r)
+        return step.states(x, self._radii)[:-1]
 
     def _require_unique(self, within: arb, effort: Effort) -> None:
         """No other orbit is within a distance at the starts of all pieces, and in the period."""
@@ -437,7 +434,7 @@ class _Check:
             if not all(abs(a - b) * 64 <= radius for a, b, radius in rows):
                 raise NotProvenError("the orbit is not known so well")
             found = orbit.steps(middle, places[k : k + 2], effort, radii)
-            maps.append(found[-1].end.derivative())
+            maps.append(found[-1].derivative())
         box = [a + b for a, b in zip(self._start, start, strict=False)]
         whole = orbit.matrix(self._proof.closing, maps, box)
         whole = arb_mat([[v * u for v, u in zip(r, units, strict=True)] for r in whole.tolist()])
