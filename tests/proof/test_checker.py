@@ -17,14 +17,14 @@ import mpmath
 import numpy as np
 import pytest
 import sympy
-from flint import acb, arb, arb_series, ctx
+from flint import acb, arb, arb_mat, arb_poly, arb_series, ctx
 
 import hamsym
 from hamsym.errors import CertificationError, InputError
 from hamsym.flow_maps.expansion import Chain, Split
 from hamsym.problems.description import described
 from hamsym.proof import checker as package
-from hamsym.proof.checker import guesses
+from hamsym.proof.checker import flow_maps, guesses
 from hamsym.proof.checker.flow_maps import check_flow_map
 from hamsym.proof.checker.formulas import Formulas, NotProvenError
 from hamsym.proof.checker.functions import (
@@ -37,6 +37,7 @@ from hamsym.proof.checker.functions import (
 )
 from hamsym.proof.checker.guesses import Effort
 from hamsym.proof.checker.motion import steps
+from hamsym.proof.checker.polynomials import polynomials
 from hamsym.proof.checker.series import Series, exponents, term
 from hamsym.proof.checker.solutions import check_solution
 from hamsym.proof.independent import _flow_data, _trial_data, verify_flow_map
@@ -197,6 +198,24 @@ def test_values_of_polynomials_on_rectangles_are_close():
                 for y in (-1, -0.3, 1):
                     inner = acb(x * square.real.rad(), y * square.imag.rad())
                     assert found.contains(polynomial(middle + inner).mid())
+
+
+def test_bounds_of_polynomials_are_their_maxima():
+    rng, axis = np.random.default_rng(0), np.linspace(-1, 1, 81)
+    space, count = polynomials(1, 3, 4), 4
+    for _ in range(5):
+        rows = rng.normal(size=(len(exponents(1, 3)), count))
+        values = np.polynomial.polynomial.polyval2d(*np.meshgrid(axis, axis), rows)
+        largest, whole = float(abs(values).max()), arb_mat(rows.tolist())
+        nearly = 1.02 * largest  # it may be larger between the points
+        space.require_below(whole, arb(nearly), arb(0), "g")
+        space.require_below(whole, arb(nearly + 1), arb(1), "g")
+        for bound, distance in ((0.99 * largest, 0), (nearly, 0.04 * largest)):
+            with pytest.raises(NotProvenError, match="g is"):
+                space.require_below(whole, arb(bound), arb(distance), "g")
+    line, of_x = arb_mat([[2.0, 0.5, 0.25]]), polynomials(0, 0, 3)
+    assert of_x.reaches(line, arb(2.75))
+    assert not of_x.reaches(line, arb(2.7501))
 
 
 def truth(text, z0, span):
@@ -447,6 +466,22 @@ def test_flow_maps_are_verified(name):
     with pytest.raises(NotProvenError) as refusal:
         check_flow_map(described(flow.H), _flow_data(flow), forged, lambda: None)
     assert "another form" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(("in_x", "in_s"), [(0.5, 0.0), (0.0, 1.0)])
+def test_bounds_of_defects_contain_what_series_leave_out(monkeypatch, in_x, in_s):
+    """Of exp, whose terms are all positive, and which is largest at x = s = 1."""
+    monkeypatch.setattr(flow_maps, "_ORDER", 4)
+    flow = hamsym.flow_map("p**2/2 + exp(x)", {"x": (-1, 1), "p": 0}, (0, 0.1), tol=1e-2)
+    claims, data = {"bound": [1e6, 1e6], "box": {"x": [-1, 1]}}, _flow_data(flow)
+    check = flow_maps._Check(described(flow.H), data, claims, lambda: None)
+    check.degree = 2
+    cell, (_, linear) = flow_maps._Cell(check, data["map"], check._box), exponents(1, 1)
+    y = [{0: arb_poly([0, in_x]), linear: arb_poly([in_s])}, {0: arb_poly()}]
+    ranges = [Polynomial(flow_maps._range_of(terms)) for terms in y]
+    part = Interval(Fraction(0), Fraction(1))
+    found = cell._defect(y, guesses.Guess(part, ranges, [], [], 1.0))
+    assert math.exp(in_x + in_s) < found[1] < 1.02 * math.exp(in_x + in_s)
 
 
 def test_splits_are_verified_on_both_sides():

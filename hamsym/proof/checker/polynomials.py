@@ -57,13 +57,14 @@ class Polynomials:
         """Prove |g| + distance <= bound."""
         with ctx.workprec(_BITS):
             for part, last in self._parts(whole, lambda size: size + distance <= bound):
-                if abs(part[0, 0]) > bound + distance:
+                value = abs(part[0, 0])
+                if value > bound + distance:
                     raise FalseClaimError(f"its claim about {name} is false: it is larger")
-                if last:
+                if last or value + distance > bound:
                     raise NotProvenError(f"its claim about {name} is not proven")
 
     def reaches(self, whole: arb_mat, bound: arb) -> bool:
-        """Whether g >= bound is proven somewhere, for a polynomial in x."""
+        """Whether g >= bound > 0 is proven somewhere, for a polynomial in x."""
         with ctx.workprec(_BITS):
             for part, _ in self._parts(whole, lambda size: size < bound):
                 powers = part.entries()
