@@ -213,9 +213,9 @@ def test_bounds_of_polynomials_are_their_maxima():
         for bound, distance in ((0.99 * largest, 0), (nearly, 0.04 * largest)):
             with pytest.raises(NotProvenError, match="g is"):
                 space.require_below(whole, arb(bound), arb(distance), "g")
-    line, of_x = arb_mat([[2.0, 0.5, 0.25]]), polynomials(0, 0, 3)
-    assert of_x.reaches(line, arb(2.75))
-    assert not of_x.reaches(line, arb(2.7501))
+    line, of_x = arb_mat([[2.0, 0.5, -0.25]]), polynomials(0, 0, 3)
+    assert of_x.reaches(line, arb(2.25))
+    assert not of_x.reaches(line, arb(2.2501))
 
 
 def truth(text, z0, span):
@@ -468,7 +468,7 @@ def test_flow_maps_are_verified(name):
     assert "another form" not in str(refusal.value)
 
 
-@pytest.mark.parametrize(("in_x", "in_s"), [(0.5, 0.0), (0.0, 1.0)])
+@pytest.mark.parametrize(("in_x", "in_s"), [(0.5, 0.0), (0.0, 2.0)])
 def test_bounds_of_defects_contain_what_series_leave_out(monkeypatch, in_x, in_s):
     """Of exp, whose terms are all positive, and which is largest at x = s = 1."""
     monkeypatch.setattr(flow_maps, "_ORDER", 4)
@@ -481,7 +481,7 @@ def test_bounds_of_defects_contain_what_series_leave_out(monkeypatch, in_x, in_s
     ranges = [Polynomial(flow_maps._range_of(terms)) for terms in y]
     part = Interval(Fraction(0), Fraction(1))
     found = cell._defect(y, guesses.Guess(part, ranges, [], [], 1.0))
-    assert math.exp(in_x + in_s) < found[1] < 1.02 * math.exp(in_x + in_s)
+    assert math.exp(in_x + in_s) < found[1] < 1.25 * math.exp(in_x + in_s)
 
 
 def test_splits_are_verified_on_both_sides():
