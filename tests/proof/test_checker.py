@@ -33,9 +33,11 @@ from hamsym.proof.checker.functions import (
     Polynomial,
     coefficients,
     expanded,
+    krawczyk,
     squares,
 )
 from hamsym.proof.checker.guesses import Effort
+from hamsym.proof.checker.invariants import check_invariant
 from hamsym.proof.checker.motion import steps
 from hamsym.proof.checker.polynomials import polynomials
 from hamsym.proof.checker.series import Series, exponents, term
@@ -417,6 +419,26 @@ def test_an_invariant_for_some_values_is_none_for_others():
         other = dataclasses.replace(some, holds_for=values)
         with pytest.raises(CertificationError):
             hamsym.verify(other, H, checker="independent")
+
+
+def test_functions_of_opposite_arguments_are_related():
+    H = described(hamsym.Hamiltonian("p**2/2 + x**2/2"))
+    zero = "(p**2 + x**2)*(sin(x - 1) + sin(1 - x) + cos(2*p) - cos(-2*p) + exp(x)*exp(-x))"
+    check_invariant(H, [], {"formula": zero, "floats": {}})
+    for own, other in (
+        ("sin(1", "2*sin(1"), ("cos(-2*p)", "cos(-3*p)"), ("exp(-x)", "exp(-2*x)")
+    ):  # fmt: skip
+        false = zero.replace(own, other)
+        with pytest.raises(NotProvenError, match="conserved"):
+            check_invariant(H, [], {"formula": false, "floats": {}})
+
+
+def test_krawczyks_operator_contains_the_zero():
+    box = [arb(1.5, 0.5)]
+    for centre in (1.25, 1.5, 1.75):
+        value, slope = arb_mat([[centre**2 - 2]]), arb_mat([[2 * box[0]]])
+        (found,) = krawczyk([arb(centre)], box, value, slope)
+        assert found.contains(arb(2).sqrt().mid())
 
 
 # -- flow maps ------------------------------------------------------------------------------------

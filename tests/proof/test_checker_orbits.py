@@ -9,6 +9,7 @@ from flint import arb, ctx
 
 import hamsym
 from hamsym.problems.description import described
+from hamsym.proof.checker import orbits
 from hamsym.proof.checker.formulas import NotProvenError
 from hamsym.proof.checker.functions import Equations, column
 from hamsym.proof.checker.guesses import Effort
@@ -71,13 +72,36 @@ ORBITS = {
 }
 
 
-def test_distances_from_other_orbits_are_proven_and_forged_ones_refused():
+@pytest.mark.parametrize(
+    ("within", "reason"),
+    [
+        (0.1, "may be singular"),
+        (2.0, "does not close"),  # where it crosses the plane again
+    ],
+)
+def test_distances_from_other_orbits_are_proven_and_forged_ones_refused(within, reason):
     orbit = ORBITS["quarter"]()
     claims = json.loads(orbit.certify().to_json())
+    assert 0.01 < claims["unique_within"] < 0.05
     check(orbit, claims)
-    with pytest.raises(NotProvenError, match="distance from other"):
-        # at a distance of two is its other crossing of the plane
-        check(orbit, claims | {"unique_within": 2.0})
+    with pytest.raises(NotProvenError, match=f"distance from other orbits .*{reason}"):
+        check(orbit, claims | {"unique_within": within})
+
+
+def test_bounds_are_about_the_states_in_the_arc_too():
+    orbit = ORBITS["quarter"]()
+    data, claims = _orbit_data(orbit), json.loads(orbit.certify().to_json())
+    data["ends"][1][0] += 1e-6
+    with pytest.raises(NotProvenError, match="distance from the computed states"):
+        check_orbit(described(orbit.H), data, claims, lambda: None)
+
+
+def test_a_box_that_is_not_mapped_into_its_interior_proves_nothing(monkeypatch):
+    orbit = ORBITS["quarter"]()
+    claims = json.loads(orbit.certify().to_json())
+    monkeypatch.setattr(orbits, "krawczyk", lambda centre, box, *_: box)
+    with pytest.raises(NotProvenError, match="no box around the orbit"):
+        check(orbit, claims)
 
 
 def test_averages_on_the_way_contain_differences_of_solutions():
