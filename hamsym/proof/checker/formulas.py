@@ -11,8 +11,6 @@ a finite value in a ball of arguments, all of them are analytic there.
 from __future__ import annotations
 
 import ast
-import functools
-import operator
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -265,24 +263,29 @@ class Formulas:
 
         Numbers have the precision at which it is made.
         """
-        known, variables = {}, {}
-        steps: list[tuple[int, Callable[..., Any], int, int | None]] = []
+        known, steps = {}, []
         for k in sorted(self.needed(places)):
-            name, a, b = (*self.operations[k], None, None)[:3]
+            name, *arguments = self.operations[k]
             if name in ("number", "pi"):
-                known[k] = arb.pi() if a is None else ball(a)
-            elif name == "variable":
-                variables[k] = a
-            elif name == "**":
-                steps.append((k, functools.partial(_power, exponent=b), a, None))
+                known[k] = ball(arguments[0]) if arguments else arb.pi()
             else:
-                steps.append((k, _EVALUATED[name], a, b))
+                rule = name if name in ("variable", "+", "*", "**") else _EVALUATED[name]
+                steps.append((k, rule, arguments[0], arguments[-1]))
 
-        def run(given: Sequence[Any]) -> list[Any]:
-            values: dict[int, Any] = known | {k: given[a] for k, a in variables.items()}
+        def run(variables: Sequence[Any]) -> list[Any]:
+            values: dict[int, Any] = dict(known)
             try:
                 for k, rule, a, b in steps:
-                    values[k] = rule(values[a]) if b is None else rule(values[a], values[b])
+                    if rule == "+":
+                        values[k] = values[a] + values[b]
+                    elif rule == "*":
+                        values[k] = values[a] * values[b]
+                    elif rule == "**":
+                        values[k] = _power(values[a], b)
+                    elif rule == "variable":
+                        values[k] = variables[a]
+                    else:
+                        values[k] = rule(values[a])
             except (ValueError, ZeroDivisionError):  # of series that begin with zero
                 raise NotProvenError("a quotient is not finite there") from None
             return [values[k] for k in places]
@@ -336,8 +339,6 @@ def _arctangent(value: Any) -> Any:
 
 
 _EVALUATED: dict[str, Callable[..., Any]] = {
-    "+": operator.add,
-    "*": operator.mul,
     "exp": lambda a: a.exp(),
     "log": lambda a: _within(a, _start(a) > 0).log(),
     "sin": lambda a: a.sin(),

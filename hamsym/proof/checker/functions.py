@@ -181,8 +181,14 @@ class Interval:
     middle: Fraction
     r: Fraction
 
+    @cached_property
+    def _balls(self) -> tuple[arb, arb]:
+        return ball(self.middle), ball(self.r)
+
     def time(self, x: Any) -> Any:
-        return ball(self.middle) + ball(self.r) * x
+        """t, with the precision at which this is called first."""
+        middle, r = self._balls
+        return middle + r * x
 
     def line(self, other: Interval) -> arb_poly:
         """x of this interval in terms of that of another one."""
