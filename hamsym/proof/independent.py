@@ -73,7 +73,7 @@ def verify_solution(
 def verify_orbit(
     claims: hamsym.OrbitCertificate, orbit: hamsym.PeriodicOrbit, check_time: Callable[[str], None]
 ) -> None:
-    """Prove a certificate of a periodic orbit again, but not that no other one is near."""
+    """Prove a certificate of a periodic orbit again by the independent checker."""
     claims.require_form(orbit)
     _check(check_orbit, (described(orbit.H), _orbit_data(orbit)), claims, check_time)
 

@@ -250,10 +250,10 @@ def verify(
         certificate, in two to fifty times the time of certify; ten times the default limit is
         allowed.
         It covers certificates of solutions; of flow maps with one leg or split across inputs; of
-        periodic orbits of an H without explicit time and without further integrals, except
-        ``unique_within``; and beside certificates an equilibrium that :func:`hamsym.equilibria`
-        found (its ball, its type and its stability, not that a list is complete) and an invariant,
-        each with its Hamiltonian as the result.
+        periodic orbits of an H without explicit time and without further integrals; and beside
+        certificates an equilibrium that :func:`hamsym.equilibria` found (its ball, its type and its
+        stability, not that a list is complete) and an invariant, each with its Hamiltonian as the
+        result.
 
     Raises
     ------

@@ -17,30 +17,36 @@ import mpmath
 import numpy as np
 import pytest
 import sympy
-from flint import acb, arb, arb_series, ctx
+from flint import acb, arb, arb_mat, arb_poly, arb_series, ctx
 
 import hamsym
 from hamsym.errors import CertificationError, InputError
 from hamsym.flow_maps.expansion import Chain, Split
 from hamsym.problems.description import described
 from hamsym.proof import checker as package
-from hamsym.proof.checker import guesses
+from hamsym.proof.checker import flow_maps, guesses
 from hamsym.proof.checker.flow_maps import check_flow_map
 from hamsym.proof.checker.formulas import Formulas, NotProvenError
 from hamsym.proof.checker.functions import (
     Equations,
+    Interval,
     Polynomial,
     coefficients,
     expanded,
+    krawczyk,
     squares,
 )
-from hamsym.proof.checker.motion import Step, steps
+from hamsym.proof.checker.guesses import Effort
+from hamsym.proof.checker.invariants import check_invariant
+from hamsym.proof.checker.motion import steps
+from hamsym.proof.checker.polynomials import polynomials
 from hamsym.proof.checker.series import Series, exponents, term
 from hamsym.proof.checker.solutions import check_solution
 from hamsym.proof.independent import _flow_data, _trial_data, verify_flow_map
 
 FOLDER = Path(package.__file__).parent
 QUARTIC = "p**2/2 + x**2/2 + x**4/4"
+EFFORT = Effort(46, 2.0**-150)
 
 
 # -- what it is -----------------------------------------------------------------------------------
@@ -196,6 +202,24 @@ def test_values_of_polynomials_on_rectangles_are_close():
                     assert found.contains(polynomial(middle + inner).mid())
 
 
+def test_bounds_of_polynomials_are_their_maxima():
+    rng, axis = np.random.default_rng(0), np.linspace(-1, 1, 81)
+    space, count = polynomials(1, 3, 4), 4
+    for _ in range(5):
+        rows = rng.normal(size=(len(exponents(1, 3)), count))
+        values = np.polynomial.polynomial.polyval2d(*np.meshgrid(axis, axis), rows)
+        largest, whole = float(abs(values).max()), arb_mat(rows.tolist())
+        nearly = 1.02 * largest  # it may be larger between the points
+        space.require_below(whole, arb(nearly), arb(0), "g")
+        space.require_below(whole, arb(nearly + 1), arb(1), "g")
+        for bound, distance in ((0.99 * largest, 0), (nearly, 0.04 * largest)):
+            with pytest.raises(NotProvenError, match="g is"):
+                space.require_below(whole, arb(bound), arb(distance), "g")
+    line, of_x = arb_mat([[2.0, 0.5, -0.25]]), polynomials(0, 0, 3)
+    assert of_x.reaches(line, arb(2.25))
+    assert not of_x.reaches(line, arb(2.2501))
+
+
 def truth(text, z0, span):
     """The state at the end of a span, to 40 digits, by mpmath's Taylor series."""
     H = hamsym.Hamiltonian(text)
@@ -228,7 +252,7 @@ def assert_encloses(seed):
     text, z0, span = random_problem(seed)
     with ctx.workprec(208):
         equations = Equations(described(hamsym.Hamiltonian(text)))
-        *_, last = steps(equations, z0, span, 46, 2.0**-150, lambda: None)
+        *_, last = steps(equations, z0, span, EFFORT, lambda: None)
         for part, tube, true in zip(last.y, last.tube, truth(text, z0, span), strict=True):
             assert abs(part(arb(1)) - arb(str(true))) <= tube + arb(2) ** -130
             assert tube < 1e-25
@@ -257,7 +281,7 @@ def test_a_step_holds_for_every_polynomial(monkeypatch):
     monkeypatch.setattr(guesses, "guess", worse)
     with ctx.workprec(208):
         equations = Equations(described(hamsym.Hamiltonian(QUARTIC)))
-        *_, last = steps(equations, [1.3, 1.0], (0.0, 1.0), 46, 2.0**-150, lambda: None)
+        *_, last = steps(equations, [1.3, 1.0], (0.0, 1.0), EFFORT, lambda: None)
         true = truth(QUARTIC, [1.3, 1.0], (0.0, 1.0))
         for part, tube, value in zip(last.y, last.tube, true, strict=True):
             assert 1e-14 < abs(part(arb(1)) - arb(str(value))) <= tube
@@ -274,7 +298,7 @@ def test_matrices_without_use_prove_nothing(monkeypatch):
     monkeypatch.setattr(guesses, "guess", useless)
     equations = Equations(described(hamsym.Hamiltonian(QUARTIC)))
     with ctx.workprec(208), pytest.raises(NotProvenError, match="no proof beyond t = 0"):
-        list(steps(equations, [1.3, 1.0], (0.0, 1.0), 46, 2.0**-150, lambda: None))
+        list(steps(equations, [1.3, 1.0], (0.0, 1.0), EFFORT, lambda: None))
 
 
 # -- solutions ------------------------------------------------------------------------------------
@@ -397,6 +421,26 @@ def test_an_invariant_for_some_values_is_none_for_others():
             hamsym.verify(other, H, checker="independent")
 
 
+def test_functions_of_opposite_arguments_are_related():
+    H = described(hamsym.Hamiltonian("p**2/2 + x**2/2"))
+    zero = "(p**2 + x**2)*(sin(x - 1) + sin(1 - x) + cos(2*p) - cos(-2*p) + exp(x)*exp(-x))"
+    check_invariant(H, [], {"formula": zero, "floats": {}})
+    for own, other in (
+        ("sin(1", "2*sin(1"), ("cos(-2*p)", "cos(-3*p)"), ("exp(-x)", "exp(-2*x)")
+    ):  # fmt: skip
+        false = zero.replace(own, other)
+        with pytest.raises(NotProvenError, match="conserved"):
+            check_invariant(H, [], {"formula": false, "floats": {}})
+
+
+def test_krawczyks_operator_contains_the_zero():
+    box = [arb(1.5, 0.5)]
+    for centre in (1.25, 1.5, 1.75):
+        value, slope = arb_mat([[centre**2 - 2]]), arb_mat([[2 * box[0]]])
+        (found,) = krawczyk([arb(centre)], box, value, slope)
+        assert found.contains(arb(2).sqrt().mid())
+
+
 # -- flow maps ------------------------------------------------------------------------------------
 
 HENON = "(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2 + x**2*y - y**3/3"
@@ -444,6 +488,22 @@ def test_flow_maps_are_verified(name):
     with pytest.raises(NotProvenError) as refusal:
         check_flow_map(described(flow.H), _flow_data(flow), forged, lambda: None)
     assert "another form" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(("in_x", "in_s"), [(0.5, 0.0), (0.0, 2.0)])
+def test_bounds_of_defects_contain_what_series_leave_out(monkeypatch, in_x, in_s):
+    """Of exp, whose terms are all positive, and which is largest at x = s = 1."""
+    monkeypatch.setattr(flow_maps, "_ORDER", 4)
+    flow = hamsym.flow_map("p**2/2 + exp(x)", {"x": (-1, 1), "p": 0}, (0, 0.1), tol=1e-2)
+    claims, data = {"bound": [1e6, 1e6], "box": {"x": [-1, 1]}}, _flow_data(flow)
+    check = flow_maps._Check(described(flow.H), data, claims, lambda: None)
+    check.degree = 2
+    cell, (_, linear) = flow_maps._Cell(check, data["map"], check._box), exponents(1, 1)
+    y = [{0: arb_poly([0, in_x]), linear: arb_poly([in_s])}, {0: arb_poly()}]
+    ranges = [Polynomial(flow_maps._range_of(terms)) for terms in y]
+    part = Interval(Fraction(0), Fraction(1))
+    found = cell._defect(y, guesses.Guess(part, ranges, [], [], 1.0))
+    assert math.exp(in_x + in_s) < found[1] < 1.25 * math.exp(in_x + in_s)
 
 
 def test_splits_are_verified_on_both_sides():
@@ -508,7 +568,6 @@ def test_time_limit_of_the_checker(case):
         hamsym.verify(case[1], case[0], time_limit=1e-3, checker="independent")
 
 
-def test_steps_know_their_place():
-    step = Step(Fraction(1), Fraction(1, 2), [], [], None)
-    line = step.line(Fraction(2), Fraction(1, 4))
+def test_intervals_know_their_place():
+    line = Interval(Fraction(1), Fraction(1, 2)).line(Interval(Fraction(2), Fraction(1, 4)))
     assert [float(c.mid()) for c in line.coeffs()] == [2.0, 0.5]

@@ -216,6 +216,8 @@ def forged_orbits(claims):
                 yield name, moved(claims[name], (1, *place), lambda v, w=value: w)
     for value in (1e-3 * claims["bound"], 1e-30, 0.0, -1.0, math.nan):
         yield "bound", value
+    for value in (10.0, 1e300, math.inf, -1.0, math.nan):  # within 10 it crosses the plane again
+        yield "unique_within", value
     words = ("elliptic", "hyperbolic", "mixed", "complex unstable", "parabolic", "attracting",
              "repelling", "unstable", "stable", "")  # fmt: skip
     for word in words:
@@ -254,11 +256,11 @@ def assert_orbits_are_refused(name, monkeypatch, every=1):
     claims = json.loads(certificate.to_json())
     proven, known = _Orbit.proven, {}
 
-    def once(self, given, order, *rest):
+    def once(self, given, effort):
         """The orbit in a box, around which all claims are looked at."""
-        if order not in known:
-            known[order] = proven(self, claims, order, *rest)
-        return known[order]
+        if effort not in known:
+            known[effort] = proven(self, claims, effort)
+        return known[effort]
 
     monkeypatch.setattr(_Orbit, "proven", once)
     monkeypatch.setattr(hamsym, "prove_orbit", lambda *_, **__: certificate)
@@ -559,7 +561,8 @@ def test_solutions_of_another_form_are_refused_by_the_checker_alone(every, case)
 def test_orbits_of_another_form_are_refused_by_the_checker_alone(every, monkeypatch):
     orbit = ORBITS["quarter"]()
     whole = json.loads(orbit.certify().to_json())
-    used = ("z0", "period", "bound", "monodromy", "stability", "pieces", "components")
+    used = ("z0", "period", "bound", "unique_within", "monodromy", "stability", "pieces",
+            "components")  # fmt: skip
     H, data, known = described(orbit.H), _orbit_data(orbit), []
     proven = _Orbit.proven
 

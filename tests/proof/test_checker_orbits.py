@@ -5,10 +5,15 @@ from __future__ import annotations
 import json
 
 import pytest
+from flint import arb, ctx
 
 import hamsym
 from hamsym.problems.description import described
+from hamsym.proof.checker import orbits
 from hamsym.proof.checker.formulas import NotProvenError
+from hamsym.proof.checker.functions import Equations, column
+from hamsym.proof.checker.guesses import Effort
+from hamsym.proof.checker.motion import steps
 from hamsym.proof.checker.orbits import check_orbit
 from hamsym.proof.independent import _orbit_data
 from tests.orbits.test_periodic_orbit import ACROSS, HENON_HEILES, RESTRICTED
@@ -65,6 +70,60 @@ ORBITS = {
     "attracting": lambda: cycle(1.0),
     "repelling": lambda: cycle(-1.0),
 }
+
+
+@pytest.mark.parametrize(
+    ("within", "reason"),
+    [
+        (0.1, "may be singular"),
+        (2.0, "does not close"),  # where it crosses the plane again
+    ],
+)
+def test_distances_from_other_orbits_are_proven_and_forged_ones_refused(within, reason):
+    orbit = ORBITS["quarter"]()
+    claims = json.loads(orbit.certify().to_json())
+    assert 0.01 < claims["unique_within"] < 0.05
+    check(orbit, claims)
+    with pytest.raises(NotProvenError, match=f"distance from other orbits .*{reason}"):
+        check(orbit, claims | {"unique_within": within})
+
+
+def test_bounds_are_about_the_states_in_the_arc_too():
+    orbit = ORBITS["quarter"]()
+    data, claims = _orbit_data(orbit), json.loads(orbit.certify().to_json())
+    data["ends"][1][0] += 1e-6
+    with pytest.raises(NotProvenError, match="distance from the computed states"):
+        check_orbit(described(orbit.H), data, claims, lambda: None)
+
+
+def test_a_box_that_is_not_mapped_into_its_interior_proves_nothing(monkeypatch):
+    orbit = ORBITS["quarter"]()
+    claims = json.loads(orbit.certify().to_json())
+    monkeypatch.setattr(orbits, "krawczyk", lambda centre, box, *_: box)
+    with pytest.raises(NotProvenError, match="no box around the orbit"):
+        check(orbit, claims)
+
+
+def test_averages_on_the_way_contain_differences_of_solutions():
+    start, radius, widths = (1.0, 0.2), 2.0**-6, []
+    with ctx.workprec(128):
+        equations = Equations(described(hamsym.Hamiltonian(QUARTIC)))
+
+        def end(z0):
+            *_, last = steps(equations, z0, (0, 0.5), Effort(40, 2.0**-120), lambda: None)
+            return column(last.states(arb(1), [arb(0)] * 2))
+
+        for ways in (1, 4):
+            rough = Effort(14, 2.0**-70, 12, ways=ways)
+            *_, last = steps(equations, start, (0, 0.5), rough, lambda: None, [arb(radius)] * 2)
+            matrix = last.derivative()
+            widths.append([entry.rad() for entry in matrix.entries()])
+            for signs in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+                moved = [a + 63 / 64 * radius * s for a, s in zip(start, signs, strict=True)]
+                apart = [arb(a) - b for a, b in zip(moved, start, strict=True)]
+                found, true = matrix * column(apart), end(moved) - end(start)
+                assert found.contains(true)
+    assert all(b < a for a, b in zip(*widths, strict=True))
 
 
 def check(orbit, claims):

@@ -3,11 +3,9 @@
 With g = grad H and a matrix Y of numbers, K = c - Y g(c) + (1 - Y Hess H(X)) (X - c) contains every
 zero of g in the box X around c; if it is in the interior of X there is exactly one (Krawczyk 1969).
 
-The motion is linear in pairs of components that are coupled. Where the Hessian of a block is
-definite, all eigenvalues are imaginary. Where it is diag(V, T), with V or T definite, squares of
-eigenvalues are those of -T V, all real, and Descartes' rule counts their signs exactly. Else
-eigenvalues k are isolated by balls: k is imaginary if -conj(k) can be no other one, since that is
-an eigenvalue, too, and real if conj(k) can be no other one.
+The motion is linear in pairs of components that are coupled. Squares of its eigenvalues are the
+roots of a polynomial. Where the Hessian of a block is definite, or diag(V, T) with V or T definite,
+all of them are real, and Descartes' rule counts their signs exactly. Else balls isolate them.
 """
 
 from __future__ import annotations
@@ -18,10 +16,10 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
-from flint import acb_mat, arb, arb_mat, ctx
+from flint import arb, arb_mat, arb_poly
 
 from hamsym.proof.checker.formulas import NotProvenError, refusing_other_forms
-from hamsym.proof.checker.functions import UNIT, Equations, column, identity
+from hamsym.proof.checker.functions import UNIT, Equations, column, inverse, krawczyk, roots
 
 _BITS, _NEWTON, _CONTRACTIONS, _WIDER = 320, 8, 40, 4
 _LEAST = arb(2) ** -200  # radius of the box
@@ -32,91 +30,85 @@ def check_equilibrium(H: Mapping[str, Any], claims: Mapping[str, Any]) -> None:
 
     - claims: "mid" and "radius" of the ball, "type" in words, "stable" and "definite".
     """
-    with ctx.workprec(_BITS), refusing_other_forms():
-        system = _System(Equations(H))
+    with refusing_other_forms(_BITS):
+        equations = Equations(H)
+        if not equations.conserved:
+            raise NotProvenError("equilibria with forces or with explicit time are not covered")
         middle = [arb(float(value)) for value in claims["mid"]]
         radius = [arb(float(value)) for value in claims["radius"]]
         sizes = zip(middle, radius, strict=True)
-        if len(middle) != system.dim or not all(m.is_finite() and r >= 0 for m, r in sizes):
+        if len(middle) != equations.dim or not all(m.is_finite() and r >= 0 for m, r in sizes):
             raise NotProvenError("the ball of the equilibrium is none")
-        _check_words(system.hessian(_zero(system, middle, radius)), claims)
+        _check_words(_hessian(equations, _zero(equations, middle, radius)), claims)
 
 
-class _System:
-    def __init__(self, equations: Equations) -> None:
-        if not equations.conserved:
-            raise NotProvenError("equilibria with forces or with explicit time are not covered")
-        formulas, self.dim = equations.formulas, equations.dim
-        rows = [formulas.gradient(slope, self.dim) for slope in equations.slopes]
-        self._gradient = formulas.program(equations.slopes)
-        self._hessian = formulas.program([place for row in rows for place in row])
-        self._energy = equations.run_energy
-
-    def gradient(self, state: Sequence[arb]) -> arb_mat:
-        return column(self._gradient([*state, arb(0)]))
-
-    def hessian(self, state: Sequence[arb]) -> arb_mat:
-        if not self._energy([*state, arb(0)])[0].is_finite():
-            raise NotProvenError("H is not smooth near the equilibrium")
-        return arb_mat(self.dim, self.dim, self._hessian([*state, arb(0)]))
+def _of_energy(rates: Sequence[Any]) -> list[Any]:
+    """The gradient of H, or rows of its Hessian, from J times them."""
+    half = len(rates) // 2
+    return [*(rate * -1 for rate in rates[half:]), *rates[:half]]
 
 
-def _inverse(matrix: arb_mat) -> arb_mat:
-    try:
-        return matrix.mid().inv().mid()
-    except ZeroDivisionError:
-        raise NotProvenError("the Hessian is singular, the equilibrium not isolated") from None
+def _gradient(equations: Equations, state: Sequence[arb]) -> list[arb]:
+    return _of_energy(equations.run_rates([*state, arb(0)]))
 
 
-def _zero(system: _System, middle: list[arb], radius: list[arb]) -> list[arb]:
+def _hessian(equations: Equations, state: Sequence[arb]) -> arb_mat:
+    slopes = equations.run_slopes([*state, arb(0)])
+    if not all(value.is_finite() for value in slopes):
+        raise NotProvenError("H is not smooth near the equilibrium")
+    rows = [arb_mat([row]) for row in equations.matrix(slopes).tolist()]
+    return arb_mat([row.entries() for row in _of_energy(rows)])
+
+
+def _zero(equations: Equations, middle: list[arb], radius: list[arb]) -> list[arb]:
     """A narrow box with the only equilibrium in the claimed one."""
-    near = column(middle)
+    near = middle
     for _ in range(_NEWTON):
-        state = near.entries()
-        near = (near - _inverse(system.hessian(state)) * system.gradient(state)).mid()
-    parts = zip(near.entries(), middle, radius, strict=True)
+        step = inverse(_hessian(equations, near)) * column(_gradient(equations, near))
+        near = [(a - b).mid() for a, b in zip(near, step.entries(), strict=True)]
+    parts = zip(near, middle, radius, strict=True)
     box = [c + ((abs(c - m) + r) * 4 + _LEAST).abs_upper() * UNIT for c, m, r in parts]
     for _ in range(_WIDER):
-        found = _krawczyk(system, near, box, set())
-        if all(b.contains_interior(a) for a, b in zip(found, box, strict=True)):
+        found = _contracted(equations, near, box, set())
+        if _is_inside(found, box, set()):
             break
         # A component with a narrow ball may depend on one with a wide one.
-        around = zip(found, near.entries(), box, strict=True)
+        around = zip(found, near, box, strict=True)
         box = [b.union(c + (a - c) * 2) for a, c, b in around]
     else:
         raise NotProvenError("its claim that one equilibrium is in the ball is not proven")
     # Components that are claimed exactly: g vanishes there for all values of the others.
     fixed = {i for i, r in enumerate(radius) if r == 0}
     part = [middle[i] if i in fixed else value for i, value in enumerate(box)]
-    slopes = system.gradient(part).entries()
-    if fixed and all(slopes[i].is_zero() for i in fixed):
-        centre = column([value.mid() for value in part])
-        found = _krawczyk(system, centre, part, fixed)
-        others = [
-            (a, b) for i, (a, b) in enumerate(zip(found, part, strict=True)) if i not in fixed
-        ]
-        if not all(b.contains_interior(a) for a, b in others):
+    slopes = _gradient(equations, part)
+    fixed = fixed if all(slopes[i].is_zero() for i in fixed) else set()
+    if fixed:
+        found = _contracted(equations, [value.mid() for value in part], part, fixed)
+        if not _is_inside(found, part, fixed):
             raise NotProvenError("its claim that one equilibrium is in the ball is not proven")
-    else:
-        fixed = set()
     for _ in range(_CONTRACTIONS):
         if all(abs(a - m) <= r for a, m, r in zip(found, middle, radius, strict=True)):
             return found
-        found = _krawczyk(system, column([value.mid() for value in found]), found, fixed)
+        found = _contracted(equations, [value.mid() for value in found], found, fixed)
     raise NotProvenError("its claim that the equilibrium is in the ball is not proven")
 
 
-def _krawczyk(system: _System, centre: arb_mat, box: list[arb], fixed: set[int]) -> list[arb]:
+def _contracted(
+    equations: Equations, centre: Sequence[arb], box: list[arb], fixed: set[int]
+) -> list[arb]:
     """K, for the components that are not fixed."""
-    slopes, values = system.hessian(box), system.gradient(centre.entries())
+    slopes, values = _hessian(equations, box), column(_gradient(equations, centre))
     for i in fixed:
         values[i, 0] = arb(0)
-        for j in range(system.dim):
+        for j in range(equations.dim):
             slopes[i, j] = slopes[j, i] = arb(int(i == j))
-    Y = _inverse(slopes)
-    spread = (identity(system.dim) - Y * slopes) * (column(box) - centre)
-    found = (centre - Y * values + spread).entries()
+    found = krawczyk(centre, box, values, slopes)
     return [box[i] if i in fixed else value for i, value in enumerate(found)]
+
+
+def _is_inside(found: Sequence[arb], box: Sequence[arb], fixed: set[int]) -> bool:
+    pairs = enumerate(zip(found, box, strict=True))
+    return all(i in fixed or b.contains_interior(a) for i, (a, b) in pairs)
 
 
 # -- the linear motion ----------------------------------------------------------------------------
@@ -159,39 +151,32 @@ def _classified(hessian: arb_mat) -> tuple[dict[str, int], int]:
     """Numbers of pairs of eigenvalues by type, and the sign of a definite Hessian or 0."""
     size = hessian.nrows()
     half = size // 2
-    own = _signs(hessian)
+    own = _signs(hessian.charpoly())
     if size in own:
         return {"centre": half}, 1 if own[0] == size else -1
-    V, T, mixed, _ = (
+    V, T, mixed = (
         arb_mat([[hessian[i + a, j + b] for j in range(half)] for i in range(half)])
-        for a, b in ((0, 0), (half, half), (0, half), (half, 0))
+        for a, b in ((0, 0), (half, half), (0, half))
     )
-    if all(entry.is_zero() for entry in mixed.entries()) and half in (*_signs(V), *_signs(T)):
-        positive, negative = _signs(T * V)
+    rows = hessian.tolist()
+    rates = arb_mat([*rows[half:], *((arb_mat([row]) * -1).entries() for row in rows[:half])])
+    squares = arb_poly(rates.charpoly().coeffs()[::2])
+    separate = all(entry.is_zero() for entry in mixed.entries())
+    if separate and half in (*_signs(V.charpoly()), *_signs(T.charpoly())):
+        positive, negative = _signs(squares)
         if positive + negative == half:
-            return {"centre": positive, "saddle": negative}, 0
-    rows = [[hessian[(i + half) % size, j] * (1 if i < half else -1) for j in range(size)]
-            for i in range(size)]  # fmt: skip
-    try:
-        values = acb_mat(rows).eig()
-    except (ValueError, ZeroDivisionError):
-        raise NotProvenError("its claim about the type is not proven") from None
+            return {"centre": negative, "saddle": positive}, 0
     found: Counter[str] = Counter()
-    for value in values:
-        mirrored = [other.overlaps(-value.conjugate()) for other in values]
-        conjugate = [other.overlaps(value.conjugate()) for other in values]
-        if sum(mirrored) != 1 or sum(conjugate) != 1:
+    for value, real in roots(squares):
+        if real is None or not (value.real < 0 or value.real > 0 or not real):
             raise NotProvenError("its claim about the type is not proven")
-        own_image, real = value.overlaps(-value.conjugate()), value.overlaps(value.conjugate())
-        name = "centre" if own_image else "saddle" if real else "focus"
-        found[name] += 1
-    pairs = {"centre": 2, "saddle": 2, "focus": 4}
-    return {name: count // pairs[name] for name, count in found.items()}, 0
+        found["focus" if not real else "saddle" if value.real > 0 else "centre"] += 1
+    return {**found, "focus": found["focus"] // 2}, 0
 
 
-def _signs(matrix: arb_mat) -> tuple[int, int]:
-    """Numbers of positive and negative eigenvalues, all of which are real; (0, 0) if unknown."""
-    polynomial, counts = matrix.charpoly(), []
+def _signs(polynomial: arb_poly) -> tuple[int, int]:
+    """Numbers of positive and negative roots, all of which are real; (0, 0) if unknown."""
+    counts = []
     for sign in (1, -1):
         series = [c * sign**k for k, c in enumerate(polynomial.coeffs())]
         known = [c for c in series if not c.is_zero()]

@@ -18,7 +18,7 @@ from decimal import Decimal
 from fractions import Fraction
 from typing import Any
 
-from flint import acb, arb, arb_series, fmpq
+from flint import acb, arb, arb_series, ctx, fmpq
 
 # A keyword of Python that is a name in physics, and the name under which it is parsed.
 _KEYWORD, _STAND_IN = "lambda", "lambda__"
@@ -51,12 +51,29 @@ class FalseClaimError(NotProvenError):
 
 
 @contextmanager
-def refusing_other_forms() -> Iterator[None]:
-    """Turn errors of data that do not have the form of a claim into refusals."""
+def refusing_other_forms(bits: int) -> Iterator[None]:
+    """Set the precision; turn errors of data that have not the form of a claim into refusals."""
     try:
-        yield
+        with ctx.workprec(bits):
+            yield
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise FalseClaimError(f"the data have another form: {error!r:.200}") from None
+
+
+def attempt(attempts: Sequence[tuple[Any, ...]], proof: Callable[..., None]) -> None:
+    """Run a proof with more and more bits and effort until it succeeds.
+
+    - attempts: Bits, and further arguments of the proof.
+    """
+    for bits, *effort in attempts:
+        try:
+            with refusing_other_forms(bits):
+                return proof(*effort)
+        except FalseClaimError:
+            raise
+        except NotProvenError as error:
+            failure = error
+    raise failure
 
 
 class Formulas:
@@ -125,16 +142,20 @@ class Formulas:
 
     # -- text ---------------------------------------------------------------------------------
 
-    def parse(
-        self, text: str, x: int | None = None, numbers: Mapping[str, Fraction] | None = None
-    ) -> int:
+    def read(self, formula: Mapping[str, Any]) -> int:
+        """The place of a formula with the binary fractions "floats" by names in its text."""
+        floats = {
+            name: self.number((-1) ** sign * int(digits) * Fraction(2) ** exponent)
+            for name, (sign, digits, exponent, _) in formula["floats"].items()
+        }
+        return self.parse(formula["formula"], self._names | floats)
+
+    def parse(self, text: str, names: Mapping[str, int] | None = None) -> int:
         """The place of a formula; numbers in it are the exact numbers written there.
 
-        - x: What the name x stands for, in place of a variable.
-        - numbers: Names that stand for numbers in this formula.
+        - names: Places of names, by default the variables and values.
         """
-        names = self._constants | (self._names if x is None else {"x": x})
-        names |= {name: self.number(value) for name, value in (numbers or {}).items()}
+        names = self._constants | dict(self._names if names is None else names)
         text = re.sub(rf"\b{_KEYWORD}\b", _STAND_IN, text.strip())
         try:
             return self._node(ast.parse(text, mode="eval").body, text, names)
@@ -160,7 +181,7 @@ class Formulas:
             case ast.Call(func=ast.Name(id=name), args=[inner], keywords=[]):
                 place = self._node(inner, text, names)
                 if name in _DEFINED:
-                    return self.parse(_DEFINED[name], place)
+                    return self.parse(_DEFINED[name], {"x": place})
                 if name in _SLOPES:
                     return self._of(name, place)
         raise NotProvenError(f"'{ast.unparse(node)[:40]}' is not covered")
@@ -206,7 +227,7 @@ class Formulas:
             return [(a, b), (b, a)]
         if name == "**":
             return [(a, self.multiply(self.number(b), self.power(a, b - 1)))]
-        return [(a, self.parse(_SLOPES[name], a))]
+        return [(a, self.parse(_SLOPES[name], {"x": a}))]
 
     def replaced(self, place: int, values: Mapping[int, int]) -> int:
         """The operation with other ones for some variables."""

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 from flint import acb, acb_poly, arb, arb_mat, arb_poly, arb_series, ctx
 
@@ -20,67 +20,67 @@ from hamsym.proof.checker.formulas import Formulas, NotProvenError, ball
 
 UNIT = arb(0, 1)  # all numbers up to 1 in size
 COARSE = 53  # bits of values on discs
-DISCS, _DIVISIONS = (6, 5), 4  # of discs that are tried, and squares on a radius
-
-
-class Rates(Protocol):
-    """dz/dt = f(t, z): f from (z, t), and entries (i, j, ...) of Df that are not zero, before f."""
-
-    dim: int
-    entries: list[tuple[int, int, int]]
-
-    def run_rates(self, variables: Sequence[Any], /) -> list[Any]: ...
-
-    def run_all(self, variables: Sequence[Any], /) -> list[Any]: ...
+_DISCS, _DIVISIONS = (6, 5), 4  # of discs that are tried, and squares on a radius
 
 
 class Equations:
-    """Hamilton's equations with forces, their derivatives, and H, from text.
+    """Hamilton's equations with forces, dz/dt = f(t, z), their derivatives, and H, from text.
+
+    Parameters without a value are components at rest behind q and p. So is the unit of time s, the
+    last one: then dz/dx = s f.
 
     - H: "formula" and "forces" as {"formula", "floats"}, "q", "p" and "parameters".
-    - free: Names of parameters without a value, variables after the time.
+    - free: Names of parameters without a value.
+    - timed: Whether s is a component.
     """
 
-    def __init__(self, H: Mapping[str, Any], free: Sequence[str] = ()) -> None:
+    def __init__(
+        self, H: Mapping[str, Any], free: Sequence[str] = (), *, timed: bool = False
+    ) -> None:
         self.names = [*H["q"], *H["p"]]
-        self.dim, dof = len(self.names), len(self.names) // 2
-        forces = [H["forces"].get(name) for name in H["p"]]
+        dof, forces = len(H["q"]), [H["forces"].get(name) for name in H["p"]]
         given = {name: Fraction(value) for name, value in H["parameters"].items()}
-        time = "" if "t" in {*self.names, *given, *free} else "t"
-        formulas = self.formulas = Formulas([*self.names, time, *free], given)
-        energy = formulas.parse(H["formula"]["formula"], numbers=exact_numbers(H["formula"]))
-        *self.slopes, by_time = formulas.gradient(energy, self.dim + 1)
-        self.rates = self.slopes[dof:]
+        # A name with spaces is in no formula.
+        states = [*self.names, *free, *["unit of time"] * timed]
+        time = "the time" if "t" in {*states, *given} else "t"
+        self.dim = len(states)
+        formulas = self.formulas = Formulas([*states, time], given)
+        self.energy = formulas.read(H["formula"])
+        *self.slopes, by_time = formulas.gradient(self.energy, self.dim + 1)
+        self.rates = self.slopes[dof : 2 * dof]
         for slope, force in zip(self.slopes[:dof], forces, strict=True):
-            pull = formulas.number(0)
-            if force:
-                pull = formulas.parse(force["formula"], numbers=exact_numbers(force))
+            pull = formulas.read(force) if force else formulas.number(0)
             self.rates.append(formulas.add(formulas.negative(slope), pull))
+        if timed:
+            unit = formulas.variable(self.dim - 1)
+            self.rates = [formulas.multiply(unit, rate) for rate in self.rates]
+        self.rates += [formulas.number(0)] * (self.dim - len(self.rates))
         #: Whether H is constant along every solution, as far as that is plain.
         self.conserved = not any(forces) and formulas.value(by_time) == 0
-        later = [formulas.gradient(rate, self.dim + 1)[self.dim] for rate in self.rates]
+        rows = [formulas.gradient(rate, self.dim + 1) for rate in self.rates]
         #: Whether the rates do not contain the time, as far as that is plain.
-        self.autonomous = all(formulas.value(rate) == 0 for rate in later)
-        rows = [formulas.gradient(rate, self.dim) for rate in self.rates]
+        self.autonomous = all(formulas.value(row.pop()) == 0 for row in rows)
         places = [(i, j, place) for i, row in enumerate(rows) for j, place in enumerate(row)]
-        self.entries = [entry for entry in places if formulas.value(entry[2]) != 0]
+        places = [entry for entry in places if formulas.value(entry[2]) != 0]
+        self._entries = [(i, j) for i, j, _ in places]
+        #: Functions of the state and the time.
         self.run_rates = formulas.program(self.rates)
-        self.run_energy = formulas.program([energy])
-        self.run_all = formulas.program([*(e[2] for e in self.entries), energy, *self.rates])
+        self.run_energy = formulas.program([self.energy])
+        #: The entries of Df that are not zero, and what must be smooth, too.
+        self.run_slopes = formulas.program([*(e[2] for e in places), self.energy, *self.rates])
+
+    def matrix(self, entries: Sequence[arb]) -> arb_mat:
+        """Df from the values of its entries."""
+        found = [arb(0)] * (self.dim * self.dim)
+        for (i, j), value in zip(self._entries, entries, strict=False):
+            found[i * self.dim + j] = value
+        return arb_mat(self.dim, self.dim, found)
 
     def resting(self, zero: set[int]) -> set[int]:
         """Components that stay exactly zero, of those that are zero at the start."""
         value, nothing = self.formulas.value, dict.fromkeys(zero, self.formulas.number(0))
         still = {i for i in zero if value(self.formulas.replaced(self.rates[i], nothing)) == 0}
         return zero if still == zero else self.resting(still)
-
-
-def exact_numbers(formula: Mapping[str, Any]) -> dict[str, Fraction]:
-    """The binary fractions of a formula, by the names that it has for them."""
-    return {
-        name: (-1) ** sign * int(digits) * Fraction(2) ** exponent
-        for name, (sign, digits, exponent, _) in formula["floats"].items()
-    }
 
 
 # -- functions of x -------------------------------------------------------------------------------
@@ -136,24 +136,15 @@ def expanded(at: Callable[[Any], Sequence[Any]], order: int) -> list[Expansion]:
     - at: x -> values of the functions, for x as a power series or as a ball of complex numbers.
     """
     first = series_of(at, order)
-    for R in DISCS:
-        bounds = suprema(lambda R: [at(square) for square in squares(R)], R)
-        if bounds is not None:
-            return [Expansion(*pair, R) for pair in zip(first, bounds, strict=True)]
+    for R in _DISCS:
+        with contextlib.suppress(NotProvenError), ctx.workprec(COARSE):
+            values = [at(square) for square in squares(R)]
+            # A NaN is not larger than any number: all are looked at before the largest is taken.
+            if all(value.is_finite() for each in values for value in each):
+                columns = zip(*values, strict=True)
+                M = [max(abs(value).abs_upper() for value in each) for each in columns]
+                return [Expansion(*pair, R) for pair in zip(first, M, strict=True)]
     raise NotProvenError("a function is not smooth there, or changes too fast")
-
-
-def suprema(around: Callable[[Any], Sequence[Sequence[Any]]], place: Any) -> list[arb] | None:
-    """Bounds on functions; None where they have no finite values.
-
-    - around: A place -> the values of the functions on sets that cover it.
-    """
-    with contextlib.suppress(NotProvenError), ctx.workprec(COARSE):
-        values = around(place)
-        # A NaN is not larger than any number: all are looked at before the largest is taken.
-        if all(value.is_finite() for each in values for value in each):
-            return [max(abs(v).abs_upper() for v in each) for each in zip(*values, strict=True)]
-    return None
 
 
 def series_of(at: Callable[[Any], Sequence[Any]], order: int) -> list[list[arb]]:
@@ -167,6 +158,14 @@ def coefficients(value: Any, count: int) -> list[arb]:
     return [*found, *[arb(0)] * (count - len(found))]
 
 
+def chebyshev(y: Any, count: int) -> list[Any]:
+    """The first Chebyshev polynomials of a polynomial or a power series."""
+    found = [y * 0 + 1, y]
+    while len(found) < count:
+        found.append(2 * y * found[-1] - found[-2])
+    return found[:count]
+
+
 def squares(R: int) -> Iterator[acb]:
     """Squares that cover half a disc, which is enough for functions that are real for real x."""
     for j in range(_DIVISIONS):
@@ -175,10 +174,25 @@ def squares(R: int) -> Iterator[acb]:
                 yield acb(*(arb(R) / _DIVISIONS * (k + arb(0.5, 0.5)) for k in (i, j)))
 
 
-def clock(middle: Fraction, r: Fraction) -> Callable[[Any], Any]:
-    """The time as a function of x."""
-    start, slope = ball(middle), ball(r)
-    return lambda x: start + slope * x
+@dataclass(frozen=True)
+class Interval:
+    """Times t = middle + r x, -1 <= x <= 1."""
+
+    middle: Fraction
+    r: Fraction
+
+    @cached_property
+    def _balls(self) -> tuple[arb, arb]:
+        return ball(self.middle), ball(self.r)
+
+    def time(self, x: Any) -> Any:
+        """t, with the precision at which this is called first."""
+        middle, r = self._balls
+        return middle + r * x
+
+    def line(self, other: Interval) -> arb_poly:
+        """x of this interval in terms of that of another one."""
+        return arb_poly([ball((other.middle - self.middle) / self.r), ball(other.r / self.r)])
 
 
 # -- matrices -------------------------------------------------------------------------------------
@@ -198,21 +212,51 @@ def identity(dim: int) -> arb_mat:
     return arb_mat([[int(i == j) for j in range(dim)] for i in range(dim)])
 
 
+def krawczyk(
+    centre: Sequence[arb], box: Sequence[arb], values: arb_mat, slopes: arb_mat
+) -> list[arb]:
+    """Contain every zero of F in a box; where it is inside the box, this has exactly one.
+
+    - values, slopes: F at the centre, and DF over the box.
+    """
+    C, spread = inverse(slopes), [b - c for b, c in zip(box, centre, strict=True)]
+    rest = (identity(len(box)) - C * slopes) * column(spread)
+    return (column(centre) - C * values + rest).entries()
+
+
+def inverse(matrix: arb_mat) -> arb_mat:
+    """Numbers about the inverse."""
+    try:
+        return matrix.mid().inv().mid()
+    except ZeroDivisionError:
+        raise NotProvenError("the equations are singular: their zero is not isolated") from None
+
+
 def total(parts: Sequence[arb_mat]) -> arb_mat:
     return sum(parts[1:], parts[0])
 
 
-def matrices(equations: Rates, rows: list[list[arb]], r: Fraction) -> list[arb_mat]:
+def matrices(equations: Equations, rows: list[list[arb]], r: Fraction) -> list[arb_mat]:
     """Coefficients of r Df from those of its entries."""
-    n, found = equations.dim, []
-    for k in range(len(rows[0])):
-        entries = [arb(0)] * (n * n)
-        for (i, j, _), row in zip(equations.entries, rows, strict=False):
-            entries[i * n + j] = ball(r) * row[k]
-        found.append(arb_mat(n, n, entries))
-    return found
+    return [equations.matrix(entries) * ball(r) for entries in zip(*rows, strict=True)]
 
 
 def end_of(series: list[arb_mat], x: int) -> arb_mat:
     """The value of a matrix of polynomials at x = 1 or -1."""
     return total([part if x > 0 or k % 2 == 0 else -part for k, part in enumerate(series)])
+
+
+def roots(polynomial: arb_poly) -> list[tuple[acb, bool | None]]:
+    """All roots, and whether they are real: None of one that is not known to be alone."""
+    if polynomial.degree() < 1:
+        return []
+    try:
+        found = acb_poly(polynomial).roots()
+    except ValueError:  # they are not isolated
+        return [(acb(arb.nan(), arb.nan()), None)]
+    kinds: list[tuple[acb, bool | None]] = []
+    for value in found:
+        alone = sum(other.overlaps(value.conjugate()) for other in found) == 1
+        real = value.overlaps(value.conjugate())
+        kinds.append((value, real if alone or not real else None))
+    return kinds

@@ -19,8 +19,9 @@ from typing import Any
 from flint import fmpq, fmpq_mpoly, fmpq_mpoly_ctx
 
 from hamsym.proof.checker.formulas import Formulas, NotProvenError, refusing_other_forms
-from hamsym.proof.checker.functions import Equations, exact_numbers
+from hamsym.proof.checker.functions import Equations
 
+_BITS = 64  # of numbers that are not used
 _Quotient = tuple[fmpq_mpoly, fmpq_mpoly]
 
 
@@ -35,10 +36,10 @@ def check_invariant(H: Mapping[str, Any], free: Sequence[str], f: Mapping[str, A
     ------
     NotProvenError
     """
-    with refusing_other_forms():
+    with refusing_other_forms(_BITS):
         equations = Equations(H, free)
         formulas, dim = equations.formulas, equations.dim
-        place = formulas.parse(f["formula"], numbers=exact_numbers(f))
+        place = formulas.read(f)
         *slopes, rate = formulas.gradient(place, dim + 1)
         for slope, velocity in zip(slopes, equations.rates, strict=True):
             rate = formulas.add(rate, formulas.multiply(slope, velocity))
@@ -64,7 +65,9 @@ class _Ring:
         self._one = self._context.constant(1)
         #: Generator, its power, and what that power is, in the order in which they were made.
         self._relations: list[tuple[int, int, _Quotient]] = []
-        self._known: list[tuple[str, _Quotient, Any]] = []
+        #: Roots of an argument by their index, and functions of one, with the sine of a cosine.
+        self._roots: dict[str, dict[int, _Quotient]] = {}
+        self._known: dict[tuple[str, str, str], _Quotient] = {}
 
     def vanishes(self) -> bool:
         values: dict[int, _Quotient] = {}
@@ -98,42 +101,28 @@ class _Ring:
     def _root(self, k: int, base: _Quotient, exponent: Fraction) -> _Quotient:
         if exponent.denominator == 1:
             return self._power(base, int(exponent))
-        m = exponent.denominator
-        for name, known, found in self._known:
-            if known == base and name.startswith("root") and int(name[4:]) % m == 0:
-                return self._power(found, exponent.numerator * (int(name[4:]) // m))
-        m = math.lcm(m, 2)  # of square roots and others of one base
-        self._relations.append((k, m, base))
-        found = self._generators[k], self._one
-        self._known.append((f"root{m}", base, found))
-        return self._power(found, exponent.numerator * (m // exponent.denominator))
+        roots, m = self._roots.setdefault(str(base), {}), exponent.denominator
+        index = next((n for n in roots if n % m == 0), None)
+        if index is None:
+            index = math.lcm(m, 2)  # of square roots and others of one base
+            roots[index] = self._generators[k], self._one
+            self._relations.append((k, index, base))
+        return self._power(roots[index], exponent.numerator * (index // m))
 
     def _function(self, k: int, name: str, argument: _Quotient) -> _Quotient:
-        if name == "cos":  # before sin, whose square is 1 - cos^2
-            return self._pair(k, argument)[0]
+        """A generator, or the image of one: exp(-a) = 1/exp(a), sin(-a) = -sin(a)."""
+        a, b = argument
+        turned = name in ("exp", "sin", "cos") and str(a).startswith("-")
+        key = "sin" if name == "cos" else name, str(-a if turned else a), str(b)
+        if key not in self._known:
+            self._known[key] = self._generators[k], self._generators[len(self._operations) + k]
+            if key[0] == "sin":
+                cosine, place = self._generators[k], len(self._operations) + k
+                self._relations.append((place, 2, (1 - cosine**2, self._one)))
+        found, sine = self._known[key]
         if name == "sin":
-            return self._pair(k, argument)[1]
-        for known, other, found in self._known:
-            if known == name and other == argument:
-                return found
-            if known == name == "exp" and (-other[0], other[1]) == argument:
-                return self._power(found, -1)
-        found = self._generators[k], self._one
-        self._known.append((name, argument, found))
-        return found
-
-    def _pair(self, k: int, argument: _Quotient) -> tuple[_Quotient, _Quotient]:
-        """The cosine and the sine of an argument, or of minus one that is known."""
-        for known, other, (c, s) in self._known:
-            if known == "cos" and other == argument:
-                return c, s
-            if known == "cos" and (-other[0], other[1]) == argument:
-                return c, (-s[0], s[1])
-        c, s = self._generators[k], self._generators[len(self._operations) + k]
-        self._relations.append((len(self._operations) + k, 2, (1 - c**2, self._one)))
-        found = (c, self._one), (s, self._one)
-        self._known.append(("cos", argument, found))
-        return found
+            found = -sine if turned else sine
+        return self._power((found, self._one), -1 if name == "exp" and turned else 1)
 
     def _reduced(self, polynomial: fmpq_mpoly) -> fmpq_mpoly:
         """The polynomial by the relations, times a denominator that is not zero."""

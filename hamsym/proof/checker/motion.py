@@ -21,7 +21,9 @@ nearly constant over all steps, so that errors are added and never wrapped.
 
 The difference of two solutions within the tube has the same equation without D, times their
 difference at the start. So for all starts within radii of one of them, the bounds are found column
-by column, one of e and one for each component of the start, where u begins as a unit vector.
+by column, one of e and one for each component of the start, where u begins as a unit vector. For
+differences from one solution, A is the average over n parts of the way, where they are at most k/n
+of the whole difference.
 """
 
 from __future__ import annotations
@@ -31,16 +33,16 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, TypeVar
 
-from flint import arb, arb_mat, arb_poly
+from flint import arb, arb_mat
 
 from hamsym.proof.checker import guesses
 from hamsym.proof.checker.formulas import NotProvenError, ball
 from hamsym.proof.checker.functions import (
     UNIT,
+    Equations,
     Expansion,
+    Interval,
     Polynomial,
-    Rates,
-    clock,
     coefficients,
     column,
     end_of,
@@ -50,56 +52,59 @@ from hamsym.proof.checker.functions import (
     sizes,
     total,
 )
+from hamsym.proof.checker.guesses import Effort, Guess
 
-_SHORTEST = Fraction(1, 2**40)  # step, of the span
 _TINY = arb(2) ** -2_000
 _TUBES = 4  # attempts at a tube
+_NEAR = arb(1) / 64  # see proven
 
 Found = TypeVar("Found")
 
 
 @dataclass(frozen=True)
-class End:
-    """What is known at the end of a step: balls of y(1), and the bounds.
+class Step:
+    """A step on which |z_i - y_i(x)| <= tube_i, and what is known at its end.
 
-    - U: On u, of the solution from z0, and on changes of u for a difference of one at the start in
-      each component.
-    - tube: On e, and on these differences.
+    - radii: Of the starts around z0.
+    - widths: Bounds on e, and on differences of solutions for one of the starts in each component.
+    - U: Bounds on u, and on its change for these differences.
+    - F, S: About the derivative by the initial state, and its inverse.
     """
 
-    z: list[arb]
+    part: Interval
+    y: list[Polynomial]
+    radii: Sequence[arb]
+    widths: arb_mat
     U: arb_mat
-    S: arb_mat  # about the inverse of the derivative by the initial state, F
+    S: arb_mat
     F: arb_mat
     PW: arb_mat
-    tube: arb_mat
 
-    def state(self) -> arb_mat:
-        """The solution from z0."""
-        return column([z + self.tube[i, 0] * UNIT for i, z in enumerate(self.z)])
+    @classmethod
+    def at(cls, z0: Sequence[arb], radii: Sequence[arb] = ()) -> Step:
+        """Before the first step, at exact numbers; by default with no starts around them."""
+        one, zero = identity(len(z0)), [arb(0)] * len(z0)
+        start, widths = Interval(Fraction(0), Fraction(1)), _beside(zero, one)
+        y = [Polynomial([z]) for z in z0]
+        return cls(start, y, radii or zero, widths, 0 * widths, one, one, one)
+
+    @property
+    def tube(self) -> list[arb]:
+        found = self.widths * column([arb(1), *self.radii])
+        return [value.abs_upper() for value in found.entries()]
+
+    def states(self, x: arb, radii: Sequence[arb]) -> list[arb]:
+        """The solutions from all starts within radii."""
+        tube = self.widths * column([arb(1), *radii])
+        return [each(x) + T * UNIT for each, T in zip(self.y, tube.entries(), strict=True)]
 
     def derivative(self) -> arb_mat:
-        """All derivatives by the start, and averages of them."""
-        U, one = self.U, identity(len(self.z))
+        """All derivatives of the end by the start, and averages of them."""
+        changes = arb_mat([row[1:] for row in self.U.tolist()]) * UNIT
         try:
-            return self.PW.solve(_columns(U, 1, U.ncols()) * UNIT + one)
+            return self.PW.inv() * (identity(len(self.y)) + changes)
         except ZeroDivisionError:
             raise NotProvenError("the derivative of the flow is not bounded") from None
-
-
-@dataclass(frozen=True)
-class Step:
-    """A step on which |z_i - y_i(x)| <= tube_i, t = middle + r x."""
-
-    middle: Fraction
-    r: Fraction
-    y: list[Polynomial]
-    tube: list[arb]
-    end: End
-
-    def line(self, middle: Fraction, r: Fraction) -> arb_poly:
-        """x of this step in terms of that of another one."""
-        return arb_poly([ball((middle - self.middle) / self.r), ball(r / self.r)])
 
 
 def _distance(X: list[arb_mat], Y: list[arb_mat], Z: list[arb_mat]) -> arb_mat:
@@ -114,67 +119,55 @@ def _distance(X: list[arb_mat], Y: list[arb_mat], Z: list[arb_mat]) -> arb_mat:
     return total([*parts, *(sizes(x) * tails[i] for i, x in enumerate(X))])
 
 
-def _columns(matrix: arb_mat, first: int, end: int) -> arb_mat:
-    rows = [[row[k] for k in range(first, end)] for row in matrix.tolist()]
-    return arb_mat(matrix.nrows(), end - first, [value for row in rows for value in row])
-
-
-def _beside(left: arb_mat, columns: arb_mat) -> arb_mat:
-    return arb_mat([[*a, *b] for a, b in zip(left.tolist(), columns.tolist(), strict=True)])
+def _beside(left: Sequence[arb], columns: arb_mat) -> arb_mat:
+    return arb_mat([[a, *b] for a, b in zip(left, columns.tolist(), strict=True)])
 
 
 def steps(
-    equations: Rates,
+    equations: Equations,
     z0: Sequence[float | arb],
     span: Sequence[float | Fraction],
-    order: int,
-    accuracy: float,
+    effort: Effort,
     check_time: Callable[[], None],
     radii: Sequence[arb] = (),
-    degree: int = guesses.SHORT,
 ) -> Iterator[Step]:
-    """The steps of a proof from z0 over a span.
+    """The steps of a proof from z0, exact numbers, over a span.
 
-    - z0: Exact numbers.
-    - radii: Of the starts around z0 for which the steps hold too, with derivatives at their ends;
-      by default none.
-    - degree: Of the polynomials V and W; derivatives are as exact as they are.
+    - radii: Of the starts around z0 for which the steps hold too; by default none.
     """
-    zeros, one = arb_mat(equations.dim, 1 + len(radii)), identity(equations.dim)
-    tube = _beside(arb_mat(equations.dim, 1), one) if radii else zeros
-    state = End([arb(value) for value in z0], zeros, one, one, one, tube)
-    step = Step(Fraction(0), Fraction(1), [Polynomial([value]) for value in state.z], [], state)
-    scales = [abs(value) for value in state.z]
+    step = Step.at([arb(value) for value in z0], radii)
+    scales = [abs(each(arb(0))) for each in step.y]
 
-    def attempt(middle: Fraction, r: Fraction) -> tuple[Step, float]:
+    def attempt(part: Interval) -> tuple[Step, float]:
         nonlocal step
-        near = [part.real(step.line(middle, r)) for part in step.y]
-        guess = guesses.guess(
-            equations, step.end.z, near, middle, r, order, accuracy, scales, degree
+        z, line = [each(arb(1)) for each in step.y], step.part.line(part)
+        near = [each.real(line) for each in step.y]
+        guess = guesses.guess(equations, z, near, part, effort, scales)
+        y = guess.y
+        rates = expanded(
+            lambda x: equations.run_rates([*(each(x) for each in y), part.time(x)]), effort.order
         )
-        factor = guesses.factor_of(guess.y, order, accuracy, scales)
-        if not factor > 0.8:
-            raise NotProvenError("the solution changes too fast")
-        step = _proven(equations, step.end, middle, r, guess, order, radii)
-        return step, factor
+        D = [_defect(each, part.r, f) for each, f in zip(y, rates, strict=True)]
+        gap = [a - each(arb(-1)) for a, each in zip(z, y, strict=True)]
+        step = proven(equations, step, guess, D, gap, effort.ways)
+        return step, guess.factor
 
     length = Fraction(span[1]) - Fraction(span[0])
-    yield from march(span, length / 64, _SHORTEST, attempt, check_time)
+    yield from march(span, length / 64, effort.shortest, attempt, check_time)
 
 
 def march(
     span: Sequence[float | Fraction],
     r: Fraction,
     shortest: Fraction,
-    attempt: Callable[[Fraction, Fraction], tuple[Found, float]],
+    attempt: Callable[[Interval], tuple[Found, float]],
     check_time: Callable[[], None],
 ) -> Iterator[Found]:
     """What is found on steps that cover a span.
 
     - r: Half of the first step.
     - shortest: Step, of the span.
-    - attempt: The middle of a step and its half -> what is found there, and by how much the next
-      step may be longer.
+    - attempt: A step -> what is found there, and by how much the next one may be longer.
     """
     time, end = (Fraction(value) for value in span)
     length, longest = end - time, 1.5
@@ -183,7 +176,7 @@ def march(
         rest = (end - time) / 2
         r = rest if abs(r) >= abs(rest) else min(r, rest / 2, key=abs)
         try:
-            found, factor = attempt(time + r, r)
+            found, factor = attempt(Interval(time + r, r))
         except NotProvenError as error:
             if not abs(r) > abs(length) * shortest:
                 raise NotProvenError(f"no proof beyond t = {float(time)}: {error}") from None
@@ -200,75 +193,54 @@ def _defect(y: Polynomial, r: Fraction, f: Expansion) -> arb:
     return sum(gaps, abs(ball(r)) * f.rest()).abs_upper()
 
 
-def _proven(
-    equations: Rates,
-    before: End,
-    middle: Fraction,
-    r: Fraction,
-    guess: guesses.Guess,
-    order: int,
-    radii: Sequence[arb],
-) -> Step:
-    """Prove a step near one solution."""
-    y, time = guess.y, clock(middle, r)
-
-    def rates(x: Any) -> list[Any]:
-        return equations.run_rates([*(part(x) for part in y), time(x)])
-
-    D = [_defect(part, r, f) for part, f in zip(y, expanded(rates, order), strict=True)]
-    gap = [a - part(arb(-1)) for a, part in zip(before.z, y, strict=True)]
-    return proven(equations, before, middle, r, guess, D, gap, radii)
-
-
 def proven(
-    equations: Rates,
-    before: End,
-    middle: Fraction,
-    r: Fraction,
-    guess: guesses.Guess,
+    equations: Equations,
+    before: Step,
+    guess: Guess,
     D: Sequence[arb],
     gap: Sequence[arb],
-    radii: Sequence[arb] = (),
+    ways: int = 1,
 ) -> Step:
     """Prove a step by the lemma of the module's docstring.
 
     - guess: Its y may have balls as coefficients: the step then holds for each y in them that has
       these bounds.
     - D, gap: Bounds on the defect of y, and on what y(-1) differs from the end of the step before.
+    - ways: If more than one, A is the average over so many parts of the way from one solution,
+      whose start is within 1/64 of the radii, to another one within 63/64 of them from it. Where
+      the derivative of the flow is meant it is 1.
     """
-    y, V, W, one = guess.y, guess.V, guess.W, identity(equations.dim)
-    time = clock(middle, r)
-
-    share, others = column([arb(1), *radii]), arb_mat(equations.dim, len(radii))
-    units = _beside(arb_mat(equations.dim, 1), one) if radii else arb_mat(equations.dim, 1)
-
-    def whole(tube: arb_mat) -> list[arb]:
-        return (tube * share).entries()
+    part, y, V, W, one = guess.part, guess.y, guess.V, guess.W, identity(equations.dim)
 
     def around(x: Any) -> list[Any]:
-        near = [part(x) + T * UNIT for part, T in zip(y, whole(tube), strict=True)]
-        return equations.run_all([*near, time(x)])
+        found, middle = [], [each(x) for each in y]
+        for n in range(1, ways + 1):
+            share = arb(1) if n == ways else arb(n) / ways + _NEAR
+            T = tube * column([arb(1), *(radius * share for radius in before.radii)])
+            near = [a + t * UNIT for a, t in zip(middle, T.entries(), strict=True)]
+            found.append(equations.run_slopes([*near, part.time(x)]))
+        if ways == 1:
+            return found[0]
+        return [sum(each, arb(0)) / ways for each in zip(*found, strict=True)]
 
-    added = _beside(column(D), others)
-    slope = [-(part * arb(k)) for k, part in enumerate(W)][1:]  # of -W
+    added, units = _beside(D, 0 * one), _beside([arb(0)] * equations.dim, one)
+    slope = [-(each * arb(k)) for k, each in enumerate(W)][1:]  # of -W
     P, Q = (before.S * end_of(V, -1)).mid(), (end_of(W, -1) * before.F).mid()
     start = P * end_of(W, -1)
-    U = before.U + sizes(start - before.PW) * before.tube
-    U += _beside(sizes(start) * sizes(column(gap)), others)
+    U = before.U + sizes(start - before.PW) * before.widths
+    U += _beside((sizes(start) * sizes(column(gap))).entries(), 0 * one)
     P_size, Q_size, two = sizes(P), sizes(Q), arb(2)
     V_size, W_size = total([sizes(v) for v in V]), total([sizes(w) for w in W])
     inverse, rest = sizes(one - Q * P), _distance(V, W, [one])
     found = V_size * (Q_size * (U + units + P_size * (W_size * added) * two))
     for _ in range(_TUBES):
         wider = [arb(3) / 2 * value.abs_upper() + _TINY for value in found.entries()]
-        tube = arb_mat(equations.dim, 1 + len(radii), wider)
+        tube = arb_mat(equations.dim, 1 + equations.dim, wider)
         rows = [[*e.first, e.rest()] for e in expanded(around, len(V) - 1)]
-        E = _distance(W, matrices(equations, rows, r), slope)
+        E = _distance(W, matrices(equations, rows, part.r), slope)
         u = U + P_size * (E * tube + W_size * added) * two
         found = V_size * (Q_size * (u + units) + inverse * (W_size * tube)) + rest * tube
         if all(a < b for a, b in zip(found.entries(), tube.entries(), strict=True)):
-            z, PW = [part(arb(1)) for part in y], P * end_of(W, 1)
-            F = (end_of(V, 1) * Q).mid()
-            end = End(z, sizes(u), PW.mid(), F, PW, sizes(found))
-            return Step(middle, r, y, [value.abs_upper() for value in whole(found)], end)
+            PW, F = P * end_of(W, 1), (end_of(V, 1) * Q).mid()
+            return Step(part, y, before.radii, sizes(found), sizes(u), PW.mid(), F, PW)
     raise NotProvenError("the bound on the distance of the solution does not close")

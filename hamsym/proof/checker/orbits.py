@@ -14,6 +14,11 @@ that one enclosure of the flow contains all derivatives. The conditions F = 0 ar
 For a box X around x, K = x - C F(x) + (1 - C DF(X)) (X - x) is in the interior of X only if X
 contains exactly one zero of F (Krawczyk 1969).
 
+Another orbit within a distance of this one, at several places of the arc, would be another zero of
+the equations for the states at all of these. So there is none if the matrix B of these equations,
+averaged on the way to any state within the distance, is regular: if |1 - C B| v < v for a C and a
+v > 0.
+
 The derivative N over one shift has the multiplier 1, by the flow; the others come in pairs m, 1/m
 if H is conserved, so that 1 is a double one. Without these its characteristic polynomial is one of
 m + 1/m, whose roots are isolated: pairs are on the unit circle where it is real and below 2.
@@ -23,27 +28,38 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-from flint import acb, acb_poly, arb, arb_mat, arb_poly, ctx
+from flint import arb, arb_mat, arb_poly, ctx, fmpz_mat
 
-from hamsym.proof.checker.formulas import (
-    FalseClaimError,
-    Formulas,
-    NotProvenError,
-    ball,
-    refusing_other_forms,
+from hamsym.proof.checker.formulas import FalseClaimError, NotProvenError, attempt, ball
+from hamsym.proof.checker.functions import (
+    UNIT,
+    Equations,
+    column,
+    identity,
+    inverse,
+    krawczyk,
+    roots,
+    sizes,
 )
-from hamsym.proof.checker.functions import UNIT, Equations, column, exact_numbers, identity
+from hamsym.proof.checker.guesses import Effort
 from hamsym.proof.checker.invariants import vanishes
 from hamsym.proof.checker.motion import Step, steps
 
-# Bits, Taylor coefficients, the size of the last ones, and those of derivatives, of attempts.
-_ATTEMPTS = ((256, 58, 2.0**-188, 34), (420, 96, 2.0**-312, 60))
+# Bits, and what is done for the orbit and for its distance from others.
+_SHORTEST = Fraction(1, 2**13)
+_ATTEMPTS = (
+    (256, Effort(58, 2.0**-188, 34), Effort(14, 2.0**-70, 12, _SHORTEST, 4)),
+    (420, Effort(96, 2.0**-312, 60), Effort(20, 2.0**-110, 18, _SHORTEST, 12)),
+)
 # Of the box, and of the part of it in which the orbit is, relative to the sizes of components.
 _RADIUS, _NARROW = arb(2) ** -90, arb(2) ** -96
 _NEWTON = 5  # boxes that are tried
+# Bits, the least distance, and the largest power of a matrix, for distances from other orbits.
+_BITS, _LEAST, _POWERS = 128, arb(2) ** -60, 60
 _KINDS = {
     "elliptic": {"circle"}, "hyperbolic": {"real"}, "mixed": {"circle", "real"},
     "complex unstable": {"complex"}, "attracting": {"inside"}, "repelling": {"outside"},
@@ -58,270 +74,252 @@ def check_orbit(
 ) -> None:
     """Prove the claims of the certificate of a periodic orbit; raise NotProvenError if one fails.
 
-    Not proven is that no other orbit is within a distance.
-
     - H: See :class:`Equations`.
     - orbit: "shift", the map S as (places, signs) of components, and "reversing", none or two such
       maps, with S the second one after the first; "energy", or "period" as "formula" and "floats",
       or none; "edges" and "ends", fractions of the arc and states there; the
       "sizes" of the components to which the bound is relative.
-    - claims: The values of its JSON, each exactly.
+    - claims: The values of its JSON, each exactly. Its pieces start at the first of the edges, and
+      at others that are chosen here.
     """
-    failure = NotProvenError("there is no proof")
-    for bits, order, accuracy, degree in _ATTEMPTS:
-        with ctx.workprec(bits):
-            try:
-                with refusing_other_forms():
-                    found = _Orbit(H, orbit)
-                    proof = found.proven(claims, order, accuracy, degree, check_time)
-                    return _Check(found, claims, *proof).run(orbit)
-            except FalseClaimError:
-                raise
-            except NotProvenError as error:
-                failure = error
-    raise failure
+
+    def proof(effort: Effort, rough: Effort) -> None:
+        found = _Orbit(H, orbit, check_time)
+        _Check(found, orbit, claims, found.proven(claims, effort)).run(rough)
+
+    attempt(_ATTEMPTS, proof)
 
 
-class _Map:
-    """(S z)_i = signs_i z_(places_i), which is canonical, or reverses time."""
-
-    def __init__(self, places: Sequence[int], signs: Sequence[int]) -> None:
-        self.places, self.signs, dim = [*places], [*signs], len(places)
-        if sorted(places) != list(range(dim)) or not all(s in (1, -1) for s in signs):
-            raise NotProvenError("the symmetry of the orbit is no permutation with signs")
-        J, half = [[0] * dim for _ in range(dim)], dim // 2
-        for i in range(half):
-            J[i][i + half], J[i + half][i] = 1, -1
-        moved = [
-            [s * t * J[i][k] for t, k in zip(signs, places, strict=True)]
-            for s, i in zip(signs, places, strict=True)
-        ]
-        #: 1 if it is canonical, -1 if it reverses time.
-        self.direction = 1 if moved == J else -1
-        if moved != [[self.direction * value for value in row] for row in J]:
-            raise NotProvenError("the symmetry of the orbit is not canonical")
-
-    def __call__(self, state: Sequence[arb]) -> list[arb]:
-        return [s * state[i] for i, s in zip(self.places, self.signs, strict=True)]
-
-    def matrix(self) -> arb_mat:
-        units = [column.entries() for column in _columns(identity(len(self.places)))]
-        return arb_mat([self(unit) for unit in units]).transpose()
-
-    def after(self, other: _Map) -> _Map:
-        signs = [s * other.signs[i] for i, s in zip(self.places, self.signs, strict=True)]
-        return _Map([other.places[i] for i in self.places], signs)
-
-    def is_one(self) -> bool:
-        return self.places == list(range(len(self.places))) and {*self.signs} == {1}
-
-    def order(self) -> int:
-        found, k = self, 1
-        while not found.is_one():
-            found, k = self.after(found), k + 1
-        return k
-
-    def pairs(self, sign: int) -> list[list[int]]:
-        """Columns that span all z with S z = sign z, of an involution."""
-        found = []
-        for i, (k, s) in enumerate(zip(self.places, self.signs, strict=True)):
-            if k > i or (k == i and s == sign):
-                found.append([0] * len(self.places))
-                found[-1][k] = sign * s
-                found[-1][i] = 1
-        return found
-
-    def keeps(self, H: Mapping[str, Any], formulas: Formulas) -> bool:
-        """Whether H is the same function after the map."""
-        energy = formulas.parse(H["formula"]["formula"], numbers=exact_numbers(H["formula"]))
-        variables = map(formulas.variable, self.places)
-        images = {
-            i: place if sign > 0 else formulas.negative(place)
-            for i, (place, sign) in enumerate(zip(variables, self.signs, strict=True))
-        }
-        moved = formulas.negative(formulas.replaced(energy, images))
-        return vanishes(formulas, formulas.add(energy, moved))
+# -- maps, as matrices ----------------------------------------------------------------------------
 
 
-class _Timed:
-    """Equations of the state and the time s of an arc, dz/dx = s f(z)."""
+def _map(places: Sequence[int], signs: Sequence[int]) -> fmpz_mat:
+    """(S z)_i = signs_i z_(places_i)."""
+    rows = [[0] * len(places) for _ in places]
+    for row, place, sign in zip(rows, places, signs, strict=True):
+        row[place] = sign
+    S = fmpz_mat(rows)
+    if not (S * S.transpose()).is_one():
+        raise NotProvenError("the symmetry of the orbit is no permutation with signs")
+    return S
 
-    def __init__(self, equations: Equations) -> None:
-        self._own, self.dim = equations, equations.dim + 1
-        self.entries = [*equations.entries, *((i, equations.dim, 0) for i in range(equations.dim))]
 
-    def run_rates(self, variables: Sequence[Any]) -> list[Any]:
-        *state, s, time = variables
-        return [*(s * rate for rate in self._own.run_rates([*state, time])), arb(0)]
+def _poisson(dim: int) -> fmpz_mat:
+    """J, with dz/dt = J grad H."""
+    half, n = dim // 2, range(dim)
+    return fmpz_mat([[(j == i + half) - (i == j + half) for j in n] for i in n])
 
-    def run_all(self, variables: Sequence[Any]) -> list[Any]:
-        *state, s, time = variables
-        found = self._own.run_all([*state, time])
-        rates, count = found[-len(state) :], len(self._own.entries)
-        return [*(s * slope for slope in found[:count]), *rates]
+
+def _direction(S: fmpz_mat) -> int:
+    """1 if a map is canonical, -1 if it reverses time."""
+    J = _poisson(S.nrows())
+    moved = S * J * S.transpose()
+    if moved not in (J, -J):
+        raise NotProvenError("the symmetry of the orbit is not canonical")
+    return 1 if moved == J else -1
+
+
+def _space(S: fmpz_mat, sign: int) -> list[list[int]]:
+    """A basis of all z with S z = sign z, of an involution, one in a row."""
+    rows = [[int(v) for v in row] for row in S.tolist()]
+    chosen = [i for i, row in enumerate(rows) if row[i] == sign or any(row[i + 1 :])]
+    return [[1 if j == i else sign * v for j, v in enumerate(rows[i])] for i in chosen]
+
+
+def _keeps(S: fmpz_mat, equations: Equations) -> bool:
+    """Whether H is the same function after a map."""
+    formulas, images = equations.formulas, {}
+    for i, row in enumerate(S.tolist()):
+        ((place, sign),) = [(j, int(v)) for j, v in enumerate(row) if v != 0]
+        images[i] = formulas.multiply(formulas.number(sign), formulas.variable(place))
+    moved = formulas.replaced(equations.energy, images)
+    return vanishes(formulas, formulas.add(equations.energy, formulas.negative(moved)))
+
+
+#: Matrices L, M of conditions L z(1) = M z(0).
+_Closing = tuple[arb_mat, arb_mat]
+
+
+@dataclass(frozen=True)
+class _Proof:
+    """A box with exactly one orbit, around a centre.
+
+    - steps, DZ: From the centre, and the derivatives of all orbits from the box at their end.
+    """
+
+    box: list[arb]
+    centre: list[arb]
+    steps: list[Step]
+    DZ: arb_mat
+    closing: _Closing
 
 
 class _Orbit:
     """The conditions of an orbit."""
 
-    def __init__(self, H: Mapping[str, Any], orbit: Mapping[str, Any]) -> None:
-        equations = self.equations = Equations(H)
-        formulas, dim = equations.formulas, equations.dim
+    def __init__(
+        self, H: Mapping[str, Any], orbit: Mapping[str, Any], check_time: Callable[[], None]
+    ) -> None:
+        equations = self.equations = Equations(H, timed=True)
+        self._check_time, dim = check_time, len(equations.names)
         if not equations.autonomous:
             raise NotProvenError("orbits of an H or of forces with explicit time are not covered")
-        self.shift, self.reversing = _Map(*orbit["shift"]), None
-        maps = [self.shift]
-        if orbit["reversing"] is not None:
-            first, last = (_Map(*each) for each in orbit["reversing"])
-            self.reversing, maps, shift = (first, last), [first, last], last.after(first)
-            fits = first.after(first).is_one() and last.after(last).is_one()
-            fits = fits and first.direction == last.direction == -1
-            if not fits or (shift.places, shift.signs) != (self.shift.places, self.shift.signs):
+        self.shift, self.reversing = _map(*orbit["shift"]), orbit["reversing"]
+        maps, order = [self.shift], 1
+        if self.reversing is not None:
+            first, last = self.reversing = maps = [_map(*each) for each in self.reversing]
+            fits = all((each * each).is_one() and _direction(each) == -1 for each in maps)
+            if not fits or last * first != self.shift:
                 raise NotProvenError("the symmetries of the orbit do not close it")
-        if self.shift.direction != 1 or any(len(each.places) != dim for each in maps):
+        if self.shift.nrows() != dim or _direction(self.shift) != 1:
             raise NotProvenError("the symmetries of the orbit do not close it")
+        while not (self.shift**order).is_one():
+            order += 1
         #: Arcs in a period.
-        self.parts = self.shift.order() * len(maps)
+        self.parts = order * len(maps)
         if self.parts > 1 and not equations.conserved:
             raise NotProvenError("orbits with forces and a symmetry are not covered")
-        if not all(each.is_one() or each.keeps(H, formulas) for each in maps):
+        if not all(each.is_one() or _keeps(each, equations) for each in maps):
             raise NotProvenError("that H is the same after the symmetry of the orbit is not proven")
         energy, period = orbit["energy"], orbit["period"]
-        self.energy = None if energy is None else ball(energy)
+        self._energy = None if energy is None else ball(energy)
         self.period = None
         if period is not None:
-            place = formulas.parse(period["formula"], numbers=exact_numbers(period))
-            (self.period,) = formulas.program([place])([None] * (dim + 1))
+            run = equations.formulas.program([equations.formulas.read(period)])
+            (self.period,) = run([None] * (dim + 2))
         if equations.conserved != ((energy is None) != (period is None)):
             raise NotProvenError("the orbit has no energy and no period that isolate it")
         self.sizes = [ball(size) for size in orbit["sizes"]]
         self.start = [ball(value) for value in orbit["ends"][0]]
         if len(self.sizes) != dim or not all(size > 0 for size in self.sizes):
             raise NotProvenError("the sizes of the components are none")
-        basis = identity(dim).tolist() if self.reversing is None else self.reversing[0].pairs(1)
-        self.basis = arb_mat(basis).transpose()
-        #: The component that is each unknown.
+        basis = identity(dim).tolist() if self.reversing is None else _space(first, 1)
+        self._basis = arb_mat(basis).transpose()
+        #: The component that is each unknown, and the smaller one of a pair that moves together.
         self.own = [next(i for i, v in enumerate(row) if v != 0) for row in basis]
-        self.slopes = formulas.program(equations.slopes)
+        moving = [[s for v, s in zip(row, self.sizes, strict=True) if v != 0] for row in basis]
+        self.units = [min(each) for each in moving]
+        self._slopes = equations.formulas.program(equations.slopes[:dim])
 
     def field(self, state: Sequence[arb]) -> list[arb]:
-        return self.equations.run_rates([*state, arb(0)])
+        return self.equations.run_rates([*state, arb(1), arb(0)])[:-1]
 
-    def gradient(self, state: Sequence[arb]) -> list[arb]:
-        if not self.equations.run_energy([*state, arb(0)])[0].is_finite():
+    def _gradient(self, state: Sequence[arb]) -> list[arb]:
+        if not self.equations.run_energy([*state, arb(1), arb(0)])[0].is_finite():
             raise NotProvenError("H is not smooth where the orbit closes")
-        return self.slopes([*state, arb(0)])
+        return self._slopes([*state, arb(1), arb(0)])
 
     def states(self, unknowns: Sequence[arb]) -> list[arb]:
         """The state at the start, and the time of the arc."""
         *own, s = unknowns
-        return [*(self.basis * column(own)).entries(), s]
+        return [*(self._basis * column(own)).entries(), s]
 
     # -- existence ----------------------------------------------------------------------------
 
-    def proven(
-        self,
-        claims: Mapping[str, Any],
-        order: int,
-        accuracy: float,
-        degree: int,
-        check_time: Callable[[], None],
-    ) -> tuple[list[arb], list[arb], list[Step], arb_mat]:
-        """A box with exactly one orbit, its centre, steps, and the derivatives at their end."""
+    def proven(self, claims: Mapping[str, Any], effort: Effort) -> _Proof:
+        """Prove that there is an orbit near the claimed one."""
         middle, s = [ball(float(v)) for v in claims["z0"][0]], ball(float(claims["period"][0]))
         if len(middle) != len(self.sizes) or not s > 0:
             raise NotProvenError("the start of the orbit or its period is none")
         centre = [*(middle[i] for i in self.own), (s / self.parts).mid()]
-        units = [*(self.sizes[i] for i in self.own), s / self.parts]
-        failure = NotProvenError("no box around the orbit is mapped into itself")
-        proven = None
+        units, proven = [*self.units, s / self.parts], None
         for _ in range(_NEWTON):
-            radii = [(unit * _RADIUS).abs_upper() for unit in units]
-            *around, r = self.states([radius * UNIT for radius in radii])
-            found = [*steps(
-                _Timed(self.equations), self.states(centre), (0, 1), order, accuracy, check_time,
-                [*(value.abs_upper() for value in around), r.abs_upper()], degree,
-            )]  # fmt: skip
-            box = [c + radius * UNIT for c, radius in zip(centre, radii, strict=True)]
-            last = found[-1]
-            end = [part(arb(1)) + t * UNIT for part, t in zip(last.y, last.tube, strict=True)]
-            DZ = last.end.derivative()
-            values, slopes = self._system(centre, box, last.end.state().entries(), end, DZ)
-            try:
-                C = slopes.mid().inv().mid()
-            except ZeroDivisionError:
-                raise NotProvenError(
-                    "the orbit is not isolated: H has further integrals, which are not covered, or "
-                    "it is at a bifurcation"
-                ) from None
-            step, spread = C * values, identity(len(box)) - C * slopes
-            spread *= column([b - c for b, c in zip(box, centre, strict=True)])
-            if not all(abs(s) < radius for s, radius in zip(spread.entries(), radii, strict=True)):
-                raise failure  # whatever the centre is
-            image = column(centre) - step + spread
-            near = [abs(a - c) for a, c in zip(image.entries(), centre, strict=True)]
-            if all(b.contains_interior(a) for a, b in zip(image.entries(), box, strict=True)):
-                proven = image.entries(), centre, found, DZ
+            around = [(unit * _RADIUS).abs_upper() * UNIT for unit in units]
+            box = [c + each for c, each in zip(centre, around, strict=True)]
+            radii = [value.abs_upper() for value in self.states(around)]
+            found = self.steps(self.states(centre), (0, 1), effort, radii)
+            last, DZ, starts = found[-1], found[-1].derivative(), self.states(box)[:-1]
+            closing = self._closing(last.states(arb(1), radii)[:-1], starts)
+            end = last.states(arb(1), [arb(0)] * len(radii))
+            values = self._values(closing, self.states(centre), end)
+            image = krawczyk(centre, box, values, self.matrix(closing, [DZ], starts))
+            near = [abs(a - c) for a, c in zip(image, centre, strict=True)]
+            if all(b.contains_interior(a) for a, b in zip(image, box, strict=True)):
+                proven = _Proof(image, centre, found, DZ, closing)
                 if all(a < unit * _NARROW for a, unit in zip(near, units, strict=True)):
                     break
-            centre = [value.mid() for value in (column(centre) - step).entries()]
+            centre = [value.mid() for value in image]
             if not all(value.is_finite() for value in centre) or not centre[-1] > 0:
-                raise failure
+                break
         if proven is None:
-            raise failure
+            raise NotProvenError("no box around the orbit is mapped into itself")
         return proven
 
-    def _system(
-        self,
-        centre: Sequence[arb],
-        box: Sequence[arb],
-        end_of_centre: list[arb],
-        end: list[arb],
-        DZ: arb_mat,
-    ) -> tuple[arb_mat, arb_mat]:
-        """F at the centre and DF over the box."""
-        dim, count = len(self.sizes), len(box)
-        start, starts = self.states(centre)[:-1], self.states(box)[:-1]
-        ends = arb_mat([row[:dim] for row in DZ.tolist()[:dim]]) * self.basis
-        values, rows = end_of_centre[:dim], [
-            [*row, DZ[i, dim]] for i, row in enumerate(ends.tolist())
-        ]  # fmt: skip
-        if self.reversing is not None:
-            conditions = arb_mat(self.reversing[1].pairs(-1))
-            values = (conditions * column(values)).entries()
-            rows = (conditions * arb_mat(rows)).tolist()
-        else:
-            turned = [self.shift(part.entries()) for part in _columns(self.basis)]
-            values = [a - b for a, b in zip(values, self.shift(start), strict=True)]
-            rows = [
-                [*(a - t[i] for a, t in zip(row, turned, strict=False)), row[-1]]
-                for i, row in enumerate(rows)
-            ]
-            if self.equations.conserved:
-                k = self._left_out(end[:dim], self.shift(starts))
-                del values[k], rows[k]
-            plane = [
-                f / size**2 for f, size in zip(self.field(self.start), self.sizes, strict=True)
-            ]
-            values.append(_product(plane, [a - b for a, b in zip(start, self.start, strict=True)]))
-            rows.append([*plane, arb(0)])
-        if self.period is not None:
-            values.append(centre[-1] * self.parts - self.period)
-            rows.append([*[arb(0)] * (count - 1), arb(self.parts)])
-        elif self.energy is not None:
-            values.append(self.equations.run_energy([*start, arb(0)])[0] - self.energy)
-            slopes = arb_mat([self.gradient(starts)]) * self.basis
-            rows.append([*slopes.entries(), arb(0)])
-        return column(values), arb_mat(rows)
+    def steps(
+        self, state: Sequence[arb], span: Sequence[Any], effort: Effort, radii: Sequence[arb]
+    ) -> list[Step]:
+        """Steps around a state and the time of the arc, on a part of it."""
+        return [*steps(self.equations, state, span, effort, self._check_time, radii)]
 
-    def _left_out(self, a: list[arb], b: list[arb]) -> int:
-        """A component of two states that H determines by the others, between both."""
-        slopes = self.gradient([x.union(y) for x, y in zip(a, b, strict=True)])
-        shares = [abs(v).abs_lower() * size for v, size in zip(slopes, self.sizes, strict=True)]
-        k = max(range(len(shares)), key=lambda i: shares[i].mid())
-        if not shares[k] > 0:
-            raise NotProvenError("H may be stationary where the orbit closes")
-        return k
+    def _closing(self, end: Sequence[arb], start: Sequence[arb]) -> _Closing:
+        """The conditions of boxes of states."""
+        units = identity(len(start)).tolist()
+        if self.reversing is not None:
+            conditions = arb_mat(_space(self.reversing[1], -1))
+            return conditions, 0 * conditions
+        if self.equations.conserved:  # one is implied, between both states
+            turned = (arb_mat(self.shift) * column(start)).entries()
+            slopes = self._gradient([x.union(y) for x, y in zip(end, turned, strict=True)])
+            shares = [abs(v).abs_lower() * size for v, size in zip(slopes, self.sizes, strict=True)]
+            k = max(range(len(shares)), key=lambda i: shares[i].mid())
+            if not shares[k] > 0:
+                raise NotProvenError("H may be stationary where the orbit closes")
+            del units[k]
+        return arb_mat(units), arb_mat(units) * arb_mat(self.shift)
+
+    def _plane(self) -> list[arb]:
+        field = self.field(self.start)
+        return [f / size**2 for f, size in zip(field, self.sizes, strict=True)]
+
+    def _values(self, closing: _Closing, start: list[arb], end: list[arb]) -> arb_mat:
+        """F of a solution."""
+        *start, s = start
+        values = (closing[0] * column(end[:-1]) - closing[1] * column(start)).entries()
+        if self.reversing is None:
+            apart = [a - b for a, b in zip(start, self.start, strict=True)]
+            values += (arb_mat([self._plane()]) * column(apart)).entries()
+        if self.period is not None:
+            values.append(s * self.parts - self.period)
+        elif self._energy is not None:
+            values.append(self.equations.run_energy([*start, arb(1), arb(0)])[0] - self._energy)
+        return column(values)
+
+    def matrix(self, closing: _Closing, maps: Sequence[arb_mat], starts: Sequence[arb]) -> arb_mat:
+        """DF, by the states at the starts of pieces, the first one in the basis, and by the time.
+
+        - maps: Derivatives of the states at the ends of the pieces, and of the time.
+        - starts: A box of states at the start.
+        """
+        dim, first = len(self.sizes), self._basis.ncols()
+        count = first + (len(maps) - 1) * dim + 1
+        table, top, left = [[arb(0)] * count for _ in range(count)], 0, 0
+
+        def add(column: int, matrix: arb_mat) -> None:
+            for i, row in enumerate(matrix.tolist()):
+                for j, value in enumerate(row):
+                    table[top + i][column + j] += value
+
+        for k, DZ in enumerate(maps):
+            by_state = arb_mat([row[:dim] for row in DZ.tolist()[:dim]])
+            by_time = column([row[dim] for row in DZ.tolist()[:dim]])
+            if k == 0:
+                by_state *= self._basis
+            if k == len(maps) - 1:
+                by_state, by_time = closing[0] * by_state, closing[0] * by_time
+                add(0, -closing[1] * self._basis)
+            else:
+                add(left + by_state.ncols(), -identity(dim))
+            add(left, by_state)
+            add(count - 1, by_time)
+            top, left = top + by_state.nrows(), left + by_state.ncols()
+        if self.reversing is None:
+            add(0, arb_mat([self._plane()]) * self._basis)
+            top += 1
+        if self.period is not None:
+            add(count - 1, arb_mat([[self.parts]]))
+        elif self._energy is not None:
+            add(0, arb_mat([self._gradient(starts)]) * self._basis)
+        return arb_mat(table)
 
 
 # -- claims ---------------------------------------------------------------------------------------
@@ -332,43 +330,52 @@ class _Check:
 
     def __init__(
         self,
-        orbit: _Orbit,
+        found: _Orbit,
+        orbit: Mapping[str, Any],
         claims: Mapping[str, Any],
-        box: list[arb],
-        centre: list[arb],
-        steps_of_arc: list[Step],
-        DZ: arb_mat,
+        proof: _Proof,
     ) -> None:
-        self._orbit, self._claims, self._steps = orbit, claims, steps_of_arc
-        near = [(a - c).abs_upper() * UNIT for a, c in zip(box, centre, strict=True)]
-        # of the orbit around the solution from the centre
-        self._shares = column([arb(1), *(abs(v).abs_upper() for v in orbit.states(near))])
-        *self._start, self._s = orbit.states(box)
+        self._orbit, self._claims, self._proof = found, claims, proof
+        self._edges, self._ends = [Fraction(edge) for edge in orbit["edges"]], orbit["ends"]
+        apart = zip(proof.box, proof.centre, strict=True)
+        near = [(a - c).abs_upper() * UNIT for a, c in apart]
+        #: Of the orbit around the solution from the centre.
+        self._radii = [abs(value).abs_upper() for value in found.states(near)]
+        *self._start, self._s = found.states(proof.box)
         dim = len(self._start)
-        through = arb_mat([row[:dim] for row in DZ.tolist()[:dim]])
-        if orbit.reversing is None:
-            self._shift = orbit.shift.matrix().transpose() * through
+        through = arb_mat([row[:dim] for row in proof.DZ.tolist()[:dim]])
+        if found.reversing is None:
+            self._shift = arb_mat(found.shift.transpose()) * through
         else:
-            units = identity(dim).tolist()
-            J = arb_mat([*units[dim // 2 :], *([-v for v in row] for row in units[: dim // 2])])
-            first, last = (each.matrix() for each in orbit.reversing)
+            J, first, last = map(arb_mat, (_poisson(dim), *found.reversing))
             self._shift = first * (-J * through.transpose() * J) * last * through
 
-    def run(self, orbit: Mapping[str, Any]) -> None:
-        """Require every claim about the orbit."""
-        period = self._s * self._orbit.parts if self._orbit.period is None else self._orbit.period
-        field = self._orbit.field(self._start)
+    def run(self, effort: Effort) -> None:
+        """Require every claim about the orbit.
+
+        - effort: For its distance from others.
+        """
+        orbit, claims = self._orbit, self._claims
+        period = self._s * orbit.parts if orbit.period is None else orbit.period
+        field = orbit.field(self._start)
         if not self._s > 0 or not any(value > 0 or value < 0 for value in field):
             raise NotProvenError("the orbit may be an equilibrium")
-        names = self._orbit.equations.names
-        if [*self._claims["components"]] != names:
+        if [*claims["components"]] != orbit.equations.names:
             raise NotProvenError("the certificate has other components")
-        self._require("start", self._start, *self._claims["z0"])
-        self._require("period", [period], *([value] for value in self._claims["period"]))
-        flat = [[v for row in part for v in row] for part in self._claims["monodromy"]]
+        self._require("start", self._start, *claims["z0"])
+        self._require("period", [period], *([value] for value in claims["period"]))
+        flat = [[v for row in part for v in row] for part in claims["monodromy"]]
         self._require("derivative over one shift", self._shift.entries(), *flat)
-        self._require_bound(orbit)
-        self._require_word(self._claims["stability"])
+        self._require_bound()
+        self._require_word(claims["stability"])
+        if not claims["unique_within"] >= 0:
+            raise FalseClaimError("its distance from other orbits is none")
+        try:
+            with ctx.workprec(_BITS):
+                self._require_unique(ball(claims["unique_within"]), effort)
+        except NotProvenError as error:
+            text = f"its distance from other orbits is not proven: {error}"
+            raise NotProvenError(text) from None
 
     def _require(
         self, name: str, found: list[arb], middle: Sequence[float], radius: Sequence[float]
@@ -381,35 +388,65 @@ class _Check:
             if not (r == math.inf or abs(value - ball(m)) <= ball(r)):
                 raise NotProvenError(f"its claim about the {name} is not proven")
 
-    def _require_bound(self, orbit: Mapping[str, Any]) -> None:
+    def _require_bound(self) -> None:
         """The bound holds at the start and at as many places in the arc as it says."""
-        edges, ends = [Fraction(edge) for edge in orbit["edges"]], orbit["ends"]
-        bound, pieces, k = self._claims["bound"], self._claims["pieces"], 0
-        if not bound >= 0 or not 1 <= pieces < len(edges):
-            raise FalseClaimError("its bound or its number of pieces is none")
-        limit, held = arb(bound), []  # which may be infinite
-        for edge, state in zip(edges, ends, strict=True):
-            while k + 1 < len(self._steps) and self._steps[k].middle + self._steps[k].r < edge:
-                k += 1
-            step = self._steps[k]
-            x = ball((edge - step.middle) / step.r)
-            tube = (step.end.tube * self._shares).entries()
-            gaps = [
-                (abs(part(x) - ball(value)) + t) / size
-                for part, t, value, size in zip(
-                    step.y, tube, state, self._orbit.sizes, strict=False
-                )
-            ]
-            held.append(all(gap <= limit for gap in gaps))
+        bound, pieces, edges = self._claims["bound"], self._claims["pieces"], self._edges
         rising = edges[0] == 0 and edges[-1] == 1 and edges == sorted({*edges})
-        parts = zip(self._start, self._orbit.start, self._orbit.sizes, strict=True)
-        gaps = [abs(a - b) / s for a, b, s in parts]
-        if any(gap > limit for gap in gaps):
+        if not bound >= 0 or not rising or not 1 <= pieces < len(edges):
+            raise FalseClaimError("its bound, its number of pieces or their edges are none")
+        limit = arb(bound)  # which may be infinite
+
+        def gaps(state: Sequence[arb], other: Sequence[float]) -> list[arb]:
+            rows = zip(state, other, self._orbit.sizes, strict=True)
+            return [abs(value - ball(v)) / size for value, v, size in rows]
+
+        start = gaps(self._start, self._ends[0])
+        if any(gap > limit for gap in start):
             raise FalseClaimError("its bound on the distance from the computed start is false")
-        if not rising or not all(gap <= limit for gap in gaps):
+        if not all(gap <= limit for gap in start):
             raise NotProvenError("its bound on the distance from the computed start is not proven")
+        pairs = zip(edges, self._ends, strict=True)
+        held = [all(gap <= limit for gap in gaps(self._at(edge), end)) for edge, end in pairs]
         if not (held[0] and sum(held[:-1]) >= pieces):
             raise NotProvenError("its bound on the distance from the computed states is not proven")
+
+    def _at(self, edge: Fraction) -> list[arb]:
+        """The state of the orbit at a fraction of the arc."""
+        step = next(step for step in self._proof.steps if step.part.middle + step.part.r >= edge)
+        x = ball((edge - step.part.middle) / step.part.r)
+        return step.states(x, self._radii)[:-1]
+
+    def _require_unique(self, within: arb, effort: Effort) -> None:
+        """No other orbit is within a distance at the starts of all pieces, and in the period."""
+        orbit, pieces, edges = self._orbit, self._claims["pieces"], self._edges
+        within = within.max(_LEAST) * 64 / 63
+        places = [edges[k * (len(edges) - 1) // pieces] for k in range(pieces + 1)]
+        units = [*orbit.units, *orbit.sizes * (pieces - 1), self._s.mid()]
+        start = orbit.states([unit * within * UNIT for unit in (*orbit.units, self._s.mid())])
+        maps: list[arb_mat] = []
+        for k in range(pieces):
+            near = [*(self._at(places[k]) if k else self._start), self._s]
+            radii = [(size * within).abs_upper() for size in (*orbit.sizes, self._s.mid())]
+            if k == 0:
+                radii = [value.abs_upper() for value in start]
+            middle = [value.mid() for value in near]
+            rows = zip(near, middle, radii, strict=True)
+            if not all(abs(a - b) * 64 <= radius for a, b, radius in rows):
+                raise NotProvenError("the orbit is not known so well")
+            found = orbit.steps(middle, places[k : k + 2], effort, radii)
+            maps.append(found[-1].derivative())
+        box = [a + b for a, b in zip(self._start, start, strict=False)]
+        whole = orbit.matrix(self._proof.closing, maps, box)
+        whole = arb_mat([[v * u for v, u in zip(r, units, strict=True)] for r in whole.tolist()])
+        rest = sizes(identity(len(units)) - inverse(whole) * whole)
+        v = column([arb(1)] * len(units))
+        for _ in range(_POWERS):
+            moved = rest * v
+            if all(a < b for a, b in zip(moved.entries(), v.entries(), strict=True)):
+                return
+            largest = max(moved.entries())
+            v = column([(value / largest + 2.0**-20).mid() for value in moved.entries()])
+        raise NotProvenError("the equations may be singular")
 
     # -- stability ----------------------------------------------------------------------------
 
@@ -443,35 +480,15 @@ class _Check:
             left = left[1:]
         if not conserved:
             return ["inside" if abs(m) < 1 else "outside" if abs(m) > 1 else "?"
-                    for m in _roots(arb_poly(left))]  # fmt: skip
+                    for m, _ in roots(arb_poly(left))]  # fmt: skip
         n = dim // 2 - 1
         powers = [arb_poly([2]), arb_poly([0, 1])]  # m^j + m^-j in terms of m + 1/m
         for _ in range(n - 1):
             powers.append(arb_poly([0, 1]) * powers[-1] - powers[-2])
-        found = _roots(sum((left[n + j] * powers[j] for j in range(1, n + 1)), arb_poly([left[n]])))
+        terms = [left[n + j] * powers[j] for j in range(1, n + 1)]
         words = []
-        for value in found:
-            own = [other.overlaps(value.conjugate()) for other in found]
-            real = sum(own) == 1 and value.overlaps(value.conjugate())
+        for value, real in roots(sum(terms, arb_poly([left[n]]))):
             size = abs(value.real)
-            word = ("circle" if size < 2 else "real" if size > 2 else "?") if real else "?"
-            words.append("complex" if value.imag > 0 or value.imag < 0 else word)
+            word = "circle" if size < 2 else "real" if size > 2 else "?"
+            words.append(word if real else "?" if real is None else "complex")
         return words
-
-
-def _roots(polynomial: arb_poly) -> list[acb]:
-    """All roots, each simple; one that is unknown if they are not isolated."""
-    if polynomial.degree() < 1:
-        return []
-    try:
-        return [*acb_poly(polynomial).roots()]
-    except ValueError:
-        return [acb(arb.nan(), arb.nan())]
-
-
-def _columns(matrix: arb_mat) -> list[arb_mat]:
-    return [column(row) for row in matrix.transpose().tolist()]
-
-
-def _product(a: Sequence[arb], b: Sequence[arb]) -> arb:
-    return sum((x * y for x, y in zip(a, b, strict=True)), arb(0))

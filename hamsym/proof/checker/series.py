@@ -8,14 +8,13 @@ out.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from fractions import Fraction
+from collections.abc import Callable, Mapping
 from itertools import combinations_with_replacement
 from typing import Any
 
 from flint import arb
 
-from hamsym.proof.checker.formulas import NotProvenError, ball
+from hamsym.proof.checker.formulas import NotProvenError
 
 _BASE = 64  # above all degrees
 
@@ -52,19 +51,19 @@ class Series:
         found = {_key(inputs, k): slope for k, slope in slopes.items()}
         return cls(inputs, degree, {0: middle} | (found if degree else {}))
 
-    def order(self, key: int) -> int:
+    def _order(self, key: int) -> int:
         """|nu| of a term."""
         return int(key // _BASE**self.inputs)
-
-    def limited(self, degree: int) -> Series:
-        found = {key: c for key, c in self.terms.items() if self.order(key) <= degree}
-        return Series(self.inputs, degree, found)
 
     @property
     def real(self) -> arb:
         """The value at x = 0, s = 0."""
-        start = self.terms.get(0, arb(0))
-        return start if isinstance(start, arb) else start[0]
+        return arb(0) + (self.start if isinstance(self.start, arb) else self.start[0])
+
+    @property
+    def start(self) -> Any:
+        """c_0."""
+        return self.terms.get(0, arb(0))
 
     # -- arithmetic ---------------------------------------------------------------------------
 
@@ -85,15 +84,11 @@ class Series:
         return -self + other
 
     def __mul__(self, other: Any) -> Series:
+        """The product, up to the degree of the one that has the smaller one."""
         if not isinstance(other, Series):
-            return self._with({key: c * other for key, c in self.terms.items()})
-        return self._times(other, self.degree)
-
-    __radd__, __rmul__ = __add__, __mul__
-
-    def _times(self, other: Series, degree: int) -> Series:
-        """The terms of a product up to a degree."""
-        found: dict[int, Any] = {}
+            found = {key: c * other for key, c in self.terms.items()}
+            return Series(self.inputs, self.degree, found)
+        found, degree = {}, min(self.degree, other.degree)
         end = (degree + 1) * _BASE**self.inputs
         factors = sorted(other.terms.items())
         for first, a in self.terms.items():
@@ -102,81 +97,65 @@ class Series:
                 if key >= end:
                     break
                 found[key] = found[key] + a * b if key in found else a * b
-        return self._with(found)
+        return Series(self.inputs, degree, found)
 
-    def _with(self, terms: Mapping[int, Any]) -> Series:
-        return Series(self.inputs, self.degree, terms)
-
-    def __rtruediv__(self, other: Any) -> Series:
-        return self._power(Fraction(-1), 1 / self._start()) * other
+    __radd__, __rmul__ = __add__, __mul__
 
     # -- functions ----------------------------------------------------------------------------
 
-    def _start(self) -> Any:
-        """c_0, on which functions of the others are expanded."""
-        return self.terms.get(0, arb(0))
+    def _along(self, start: Any, slope: Callable[[Series], Series]) -> Series:
+        """The function f(u) that is known for c_0, with its derivative f'.
 
-    def _sum(self, factors: Callable[[int], Any]) -> Series:
-        """The sum of factors(k) v^k, v the series without c_0."""
-        rest = self._with({key: c for key, c in self.terms.items() if key})
-        found = self._with({0: factors(self.degree)})
-        for k in range(self.degree - 1, -1, -1):
-            found = found._times(rest, self.degree - k) + factors(k)
-        return found
-
-    def _power(self, exponent: Fraction, start: Any) -> Series:
-        """The power whose value for c_0 is known."""
-        factors, inverse = [start], 1 / self._start()
-        for k in range(self.degree):
-            factors.append(factors[-1] * inverse * ball((exponent - k) / (k + 1)))
-        return self._sum(lambda k: factors[k])
-
-    def _along(self, start: Any, slope: Series) -> Series:
-        """The function that is known for c_0, with its derivative on the series.
-
-        With E the sum of s_k d/ds_k, E f(u) = f'(u) E u, and E multiplies terms by |nu|.
+        With E the sum of s_k d/ds_k, E f(u) = f'(u) E u, and E multiplies terms by |nu|, so that a
+        degree less of f'(u) is enough.
         """
-        moved = self._with({key: self.order(key) * c for key, c in self.terms.items() if key})
-        product = (slope * moved).terms
-        found = {key: c * ball(Fraction(1, self.order(key))) for key, c in product.items()}
-        return self._with({0: start} | found)
+        found = {0: start}
+        if self.degree:
+            end = self.degree * _BASE**self.inputs
+            lower = {key: c for key, c in self.terms.items() if key < end}
+            factor = slope(Series(self.inputs, self.degree - 1, lower))
+            moved = {key: self._order(key) * c for key, c in self.terms.items() if key}
+            product = Series(self.inputs, self.degree, factor.terms) * Series(
+                self.inputs, self.degree, moved
+            )
+            found |= {key: c / self._order(key) for key, c in product.terms.items()}
+        return Series(self.inputs, self.degree, found)
 
-    def _cycle(self, derivatives: Sequence[Any]) -> Series:
-        """The function whose derivatives at c_0 repeat."""
-        shares = [arb(1)]
-        for k in range(self.degree):
-            shares.append(shares[-1] / (k + 1))
-        return self._sum(lambda k: derivatives[k % len(derivatives)] * shares[k])
+    def __rtruediv__(self, other: Any) -> Series:
+        return self._along(1 / self.start, _slope_of_inverse) * other
 
     def exp(self) -> Series:
-        return self._cycle([self._start().exp()])
+        return self._along(self.start.exp(), Series.exp)
 
     def sin(self) -> Series:
-        sine, cosine = self._start().sin(), self._start().cos()
-        return self._cycle([sine, cosine, -sine, -cosine])
+        return self._along(self.start.sin(), Series.cos)
 
     def cos(self) -> Series:
-        sine, cosine = self._start().sin(), self._start().cos()
-        return self._cycle([cosine, -sine, -cosine, sine])
-
-    def sqrt(self) -> Series:
-        return self._power(Fraction(1, 2), self._start().sqrt())
-
-    def rsqrt(self) -> Series:
-        return self._power(Fraction(-1, 2), self._start().rsqrt())
+        return self._along(self.start.cos(), lambda u: -u.sin())
 
     def log(self) -> Series:
-        return self._along(self._start().log(), 1 / self)
+        return self._along(self.start.log(), lambda u: 1 / u)
+
+    def sqrt(self) -> Series:
+        return (self.log() * arb(0.5)).exp()
+
+    def rsqrt(self) -> Series:
+        return (self.log() * arb(-0.5)).exp()
 
     def atan(self) -> Series:
-        return self._along(self._start().atan(), 1 / (self * self + 1))
+        return self._along(self.start.atan(), lambda u: 1 / (u * u + 1))
 
     def asin(self) -> Series:
-        return self._along(self._start().asin(), (1 - self * self).rsqrt())
+        return self._along(self.start.asin(), lambda u: (1 - u * u).rsqrt())
 
     def erf(self) -> Series:
-        slope = (-self * self).exp() * (2 / arb.pi().sqrt())
-        return self._along(self._start().erf(), slope)
+        factor = 2 / arb.pi().sqrt()
+        return self._along(self.start.erf(), lambda u: (-u * u).exp() * factor)
+
+
+def _slope_of_inverse(u: Series) -> Series:
+    inverse = 1 / u
+    return -(inverse * inverse)
 
 
 def term(value: Any, key: int) -> Any:

@@ -14,22 +14,30 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import Any
 
-from flint import arb, arb_poly, ctx
+from flint import arb, arb_mat, arb_poly, ctx
 
 from hamsym.proof.checker.formulas import (
     FalseClaimError,
     NotProvenError,
+    attempt,
     ball,
     exact,
-    refusing_other_forms,
 )
-from hamsym.proof.checker.functions import UNIT, Equations, Polynomial, clock, expanded
+from hamsym.proof.checker.functions import (
+    UNIT,
+    Equations,
+    Interval,
+    Polynomial,
+    coefficients,
+    expanded,
+)
+from hamsym.proof.checker.guesses import Effort
 from hamsym.proof.checker.motion import Step, steps
+from hamsym.proof.checker.polynomials import Polynomials, polynomials
 from hamsym.proof.checker.trials import Window, windows
 
-# Bits, Taylor coefficients, and the size of the last ones, of attempts.
-_ATTEMPTS = ((208, 46, 2.0**-150), (400, 88, 2.0**-286))
-_HALVINGS = 50  # of -1 <= x <= 1
+_ATTEMPTS = ((208, Effort(46, 2.0**-150)), (400, Effort(88, 2.0**-286)))
+_COUNTS = 16  # numbers of coefficients are multiples of it
 _DEPTH = 14  # of divisions of a part of the span, where z^ is not resolved
 _COARSE = 80  # bits of sums of squares
 _NEGLIGIBLE = arb(2) ** -60
@@ -51,18 +59,12 @@ def check_solution(
     - claims: The values of its JSON; bounds count as the decimals that they are, edges as the
       binary fractions next to them.
     """
-    failure: NotProvenError | None = None
-    for bits, order, accuracy in _ATTEMPTS:
-        with ctx.workprec(bits):
-            try:
-                with refusing_other_forms():
-                    check = _Check(H, z0, trial, claims, [Fraction(value) for value in span])
-                    return check.run(order, accuracy, check_time)
-            except FalseClaimError:
-                raise
-            except NotProvenError as error:
-                failure = failure or error
-    raise failure or NotProvenError("there is no proof")
+
+    def proof(effort: Effort) -> None:
+        check = _Check(H, z0, trial, claims, [Fraction(value) for value in span])
+        check.run(effort, check_time)
+
+    attempt(_ATTEMPTS, proof)
 
 
 class _Check:
@@ -107,15 +109,14 @@ class _Check:
         start = [*map(arb, z0), ball(span[0])]
         self._energy = self._equations.run_energy(start)[0]
 
-    def run(self, order: int, accuracy: float, check_time: Callable[[], None]) -> None:
+    def run(self, effort: Effort, check_time: Callable[[], None]) -> None:
         ordered = sorted({*self._edges, *self._starts})
-        found = steps(self._equations, self._z0, self._span, order, accuracy, check_time)
-        for step in found:
-            low, high = (self._sign * (step.middle + side * step.r) for side in (-1, 1))
+        for step in steps(self._equations, self._z0, self._span, effort, check_time):
+            low, high = (self._sign * (step.part.middle + side * step.part.r) for side in (-1, 1))
             inner = ordered[bisect_right(ordered, low) : bisect_right(ordered, high)]
             for a, b in pairwise([low, *(edge for edge in inner if edge < high), high]):
                 check_time()
-                self._part(step, self._sign * a, self._sign * b, order, _DEPTH)
+                self._part(step, self._sign * a, self._sign * b, effort.order, _DEPTH)
         if self._open:
             name = self._names[min(self._open)]
             raise NotProvenError(f"its claim about {name} is not proven: it is not so large")
@@ -126,10 +127,11 @@ class _Check:
         window = self._windows[bisect_right(self._starts, place) - 1]
         piece = self._pieces[bisect_right(self._edges, place) - 1]
         try:
-            groups = self._groups(step, window, (a + b) / 2, (b - a) / 2, order)
-            for k, square in groups.items():
+            groups = self._groups(step, window, Interval((a + b) / 2, (b - a) / 2), order)
+            for k, (space, square) in groups.items():
                 limit = min(self._uppers[k], piece) if k == 0 else self._uppers[k]
-                _require_below(square, limit, self._names[k])
+                if limit < math.inf:
+                    space.require_below(square, ball(limit) ** 2, arb(0), self._names[k])
         except FalseClaimError:
             raise
         except NotProvenError:
@@ -138,30 +140,33 @@ class _Check:
             for low, high in ((a, (a + b) / 2), ((a + b) / 2, b)):
                 self._part(step, low, high, order, depth - 1)
         else:
-            self._open -= {k for k in self._open if _reaches(groups[k], self._lowers[k])}
+            for k in self._open & {k for k in self._open if self._lowers[k] < math.inf}:
+                space, square = groups[k]
+                if space.reaches(square, ball(self._lowers[k]) ** 2):
+                    self._open.remove(k)
 
     def _groups(
-        self, step: Step, window: Window, middle: Fraction, r: Fraction, order: int
-    ) -> dict[int, arb_poly]:
+        self, step: Step, window: Window, part: Interval, order: int
+    ) -> dict[int, tuple[Polynomials, arb_mat]]:
         """|g|^2 for each of the errors, the energy error and the residual that has a claim."""
-        equations, dim, inverse = self._equations, self._equations.dim, ball(1 / r)
-        y = [Polynomial(part.real(step.line(middle, r)).coeffs()) for part in step.y]
-        trial, clock_of_part = window.on(middle, r), clock(middle, r)
+        equations, dim, inverse = self._equations, self._equations.dim, ball(1 / part.r)
+        line, trial = step.part.line(part), window.on(part)
+        y = [Polynomial(each.real(line).coeffs()) for each in step.y]
 
         def at(x: Any) -> list[Any]:
-            states, time = trial(x), clock_of_part(x)
+            states, time = trial(x), part.time(x)
             found = list(states)
             if dim + 1 in self._used:
                 true = self._energy
                 if not equations.conserved:
-                    near = [part(x) + t * UNIT for part, t in zip(y, step.tube, strict=True)]
+                    near = [each(x) + t * UNIT for each, t in zip(y, step.tube, strict=True)]
                     (true,) = equations.run_energy([*near, time])
                 found += [energy - true for energy in equations.run_energy([*states, time])]
             return found + (equations.run_rates([*states, time]) if dim + 2 in self._used else [])
 
         found, rows = expanded(at, order), []
-        for i, (state, part, tube) in enumerate(zip(found, y, step.tube, strict=False)):
-            row = (arb_poly(state.first) - part.real).coeffs() or [arb(0)]
+        for i, (state, own, tube) in enumerate(zip(found, y, step.tube, strict=False)):
+            row = (arb_poly(state.first) - own.real).coeffs() or [arb(0)]
             rows.append([arb(0)] if i in self._resting else _with_rest(row, state.rest() + tube))
         groups = {0: rows[:], **{i + 1: [row] for i, row in enumerate(rows)}}
         if dim + 1 in self._used:
@@ -200,7 +205,7 @@ def _with_rest(series: list[arb], rest: arb) -> list[arb]:
     return [series[0] + UNIT * rest, *series[1:]]
 
 
-def _square(rows: Sequence[Sequence[arb]]) -> arb_poly:
+def _square(rows: Sequence[Sequence[arb]]) -> tuple[Polynomials, arb_mat]:
     """|g|^2 from the Taylor coefficients of g; small ones become radii."""
     total = arb_poly()
     with ctx.workprec(_COARSE):
@@ -211,48 +216,5 @@ def _square(rows: Sequence[Sequence[arb]]) -> arb_poly:
                 last -= 1
             part = arb_poly(_with_rest(list(row[:last]), sum(sizes[last:], arb(0))))
             total += part * part
-    return total
-
-
-def _halves(square: arb_poly) -> tuple[arb_poly, arb_poly]:
-    half = arb(0.5)
-    return square(arb_poly([-half, half])), square(arb_poly([half, half]))
-
-
-def _spread(part: arb_poly) -> arb:
-    """How much the values of a polynomial differ from that at x = 0, at most."""
-    return sum(map(abs, part.coeffs()[1:]), arb(0)).abs_upper()
-
-
-def _require_below(square: arb_poly, limit: Bound, name: str) -> None:
-    """Prove |g|^2 <= limit^2 for -1 <= x <= 1."""
-    if limit == math.inf:
-        return
-    with ctx.workprec(_COARSE):
-        squared, parts = ball(limit) ** 2, [(square, 0)]
-        while parts:
-            part, depth = parts.pop()
-            spread = _spread(part)
-            if part[0] + spread <= squared:
-                continue
-            if part[0] > squared:
-                raise FalseClaimError(f"its claim about {name} is false: it is larger")
-            if depth == _HALVINGS or not spread > part[0].rad():
-                raise NotProvenError(f"its claim about {name} is not proven")
-            parts += [(half, depth + 1) for half in _halves(part)]
-
-
-def _reaches(square: arb_poly, limit: Bound) -> bool:
-    """Whether |g| >= limit is proven somewhere."""
-    if limit == math.inf:
-        return False
-    with ctx.workprec(_COARSE):
-        squared, parts = ball(limit) ** 2, [(square, 0)]
-        while parts:
-            part, depth = parts.pop()
-            if any(part(arb(x)) >= squared for x in (-1, 0, 1)):
-                return True
-            spread = _spread(part)
-            if depth < _HALVINGS and spread > part[0].rad() and not part[0] + spread < squared:
-                parts += [(half, depth + 1) for half in _halves(part)]
-    return False
+    count = -(-max(len(total), 1) // _COUNTS) * _COUNTS
+    return polynomials(0, 0, count), arb_mat([coefficients(total, count)])

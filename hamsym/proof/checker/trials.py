@@ -15,10 +15,10 @@ from typing import Any
 from flint import acb, arb, arb_mat, arb_poly, arb_series
 
 from hamsym.proof.checker.formulas import NotProvenError, ball
-from hamsym.proof.checker.functions import Polynomial, coefficients
+from hamsym.proof.checker.functions import Interval, Polynomial, chebyshev, coefficients
 
-#: (s at x = 0, its change with x) -> (x -> N(s)).
-_Network = Callable[[Fraction, Fraction], Callable[[Any], list[Any]]]
+#: A part of the window in s -> (x -> N(s)).
+_Network = Callable[[Interval], Callable[[Any], list[Any]]]
 
 
 @dataclass(frozen=True)
@@ -32,14 +32,13 @@ class Window:
     linear: bool
     network: _Network
 
-    def on(self, middle: Fraction, r: Fraction) -> Callable[[Any], list[Any]]:
-        """The function x -> z^ at t = middle + r x."""
-        start, slope = (middle - self.start) / self.tau, r / self.tau
-        network = self.network(start, slope)
+    def on(self, part: Interval) -> Callable[[Any], list[Any]]:
+        """The function x -> z^ on a part of the window."""
+        s = Interval((part.middle - self.start) / self.tau, part.r / self.tau)
+        network = self.network(s)
 
         def at(x: Any) -> list[Any]:
-            s = ball(start) + ball(slope) * x
-            f = s if self.linear else 1 - (-s).exp()
+            f = s.time(x) if self.linear else 1 - (-s.time(x)).exp()
             return [arb(z) + f * N for z, N in zip(self.state, network(x), strict=True)]
 
         return at
@@ -53,10 +52,11 @@ def windows(trial: Mapping[str, Any], dim: int) -> list[Window]:
     """
     if trial["kind"] == "features":
         edges = [Fraction(trial["origin"]) + Fraction(edge) for edge in trial["edges"]]
-        series = _monomials(arb_mat(trial["series"]))
         parts = zip(pairwise(edges), trial["states"], trial["readouts"], strict=False)
         return [
-            Window(a, b, b - a, state, False, _features(series * arb_mat(readout)))
+            Window(
+                a, b, b - a, state, False, _features(arb_mat(trial["series"]) * arb_mat(readout))
+            )
             for (a, b), state, readout in parts
         ]
     pieces = trial["pieces"]
@@ -70,25 +70,14 @@ def windows(trial: Mapping[str, Any], dim: int) -> list[Window]:
     return found
 
 
-def _monomials(series: arb_mat) -> arb_mat:
-    """Chebyshev series, one a column, as powers."""
-    count, rows = series.nrows(), [[1], [0, 1]]
-    for _ in range(count - 2):
-        doubled = [0, *(2 * c for c in rows[-1])]
-        rows.append([c - (rows[-2][k] if k < len(rows[-2]) else 0) for k, c in enumerate(doubled)])
-    table = [[row[k] if k < len(row) else 0 for row in rows[:count]] for k in range(count)]
-    return arb_mat(table) * series
+def _features(series: arb_mat) -> _Network:
+    """Chebyshev series in 2 s - 1, one a column."""
 
-
-def _features(powers: arb_mat) -> _Network:
-    """Polynomials in 2 s - 1."""
-    columns = [
-        arb_poly([powers[k, i] for k in range(powers.nrows())]) for i in range(powers.ncols())
-    ]
-
-    def on(start: Fraction, slope: Fraction) -> Callable[[Any], list[Any]]:
-        line = arb_poly([ball(2 * start - 1), ball(2 * slope)])
-        polynomials = [Polynomial(column(line).coeffs()) for column in columns]
+    def on(s: Interval) -> Callable[[Any], list[Any]]:
+        line = arb_poly([ball(2 * s.middle - 1), ball(2 * s.r)])
+        powers = [coefficients(T, series.nrows()) for T in chebyshev(line, series.nrows())]
+        found = arb_mat(powers).transpose() * series
+        polynomials = [Polynomial(column) for column in found.transpose().tolist()]
         return lambda x: [polynomial(x) for polynomial in polynomials]
 
     return on
@@ -106,10 +95,7 @@ def _network(piece: Mapping[str, Any]) -> _Network:
             values = [a + arb(b) for a, b in zip(_product(matrix, inner), bias, strict=True)]
         return values
 
-    def on(start: Fraction, slope: Fraction) -> Callable[[Any], list[Any]]:
-        return lambda x: [N for part in parts for N in value(part, ball(start) + ball(slope) * x)]
-
-    return on
+    return lambda s: lambda x: [N for part in parts for N in value(part, s.time(x))]
 
 
 def _layers(theta: Sequence[float], sizes: Sequence[int]) -> Iterator[tuple[arb_mat, list[float]]]:
