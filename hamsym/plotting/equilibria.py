@@ -55,10 +55,10 @@ def draw_equilibria(found: Equilibria, *names: Any, ax: Any = None) -> Any:
     caption = caption_words(H, *sentences)
     with one_panel(ax, caption, width=COLUMN + 2.5, height=8.0) as axes:
         i, j = H.names.index(x), H.names.index(y)
-        _draw_places(axes, found, there, i, j)
-        _draw_undecided(axes, found, i, j)
         equal = same_scale(H, x, y)
         _set_limits(axes, found, there, i, j, equal, _sizes_of(found, there, i, j))
+        _draw_places(axes, found, there, i, j)
+        _draw_undecided(axes, found, i, j)
         if equal:
             axes.set_aspect("equal")
         notes = _draw_behind(axes, H, x, y)

@@ -292,7 +292,7 @@ def in_plane(
         notes += equal_aspect(axes, *columns)
     if H.dof == 1 and x.place != y.place and levels:
         axes.margins(0.15)
-        if not H.time and motion.parameters is None:
+        if not H.time and motion.parameters in (None, H.parameters):
             start = float(H.compile("numpy").energy(motion.z[0, 0])) if motion.total == 1 else None
             notes += draw_levels(axes, H, x.text, y.text, start)
         else:

@@ -268,6 +268,11 @@ def test_family_has_periods_orbits_and_multipliers(family: hamsym.OrbitFamily) -
         family.plot("x")
 
 
+def test_family_over_energies_has_level_sets() -> None:
+    family = hamsym.periodic_orbit("p**2/2 + x**2/2 + x**4/4", [1.0, 0.0]).family(energy=1.0)
+    assert "Grey: level sets" in hamsym.plot(family, "x", "p").caption
+
+
 @pytest.mark.slow
 def test_proven_orbit_says_its_proof() -> None:
     middle = np.array([[0.0, 1.0], [-1.0, 0.0]])
@@ -341,6 +346,13 @@ def test_equilibrium_shows_eigenvalues_with_signatures(well: hamsym.Equilibria) 
     texts = [text.get_text() for text in well[0].plot().axes[0].texts]
     assert texts == ["1.41421 (+)"]
     assert [text.get_text() for text in well[-1].plot().axes[0].texts] == ["1"]
+
+
+def test_near_equilibria_have_labels_of_their_own() -> None:
+    H, width = "p**2/2 - x**2/2 + k*x**4/4", 1e-10
+    found = hamsym.equilibria(hamsym.Hamiltonian(H, parameters={"k": width**-2}))
+    texts = [text.get_text() for text in found.plot().axes[0].texts]
+    assert {"1", "2", "3"} <= set(texts)
 
 
 def test_equilibria_without_numbers_are_refused() -> None:

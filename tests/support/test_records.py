@@ -113,7 +113,7 @@ def test_invalid_records_are_not_written(changed: dict[str, Any], message: str) 
         ({"success": np.array([1, 0])}, {}, "'success' is not of type uint8"),
         ({"z0": np.zeros(2, np.float32)}, {}, "'z0' is not of type float64"),
         ({"notes": np.frombuffer(b'{"01": "x"}', np.uint8)}, {}, "keys that are not numbers"),
-        ({"notes": np.frombuffer(b"[" * 100_000, np.uint8)}, {}, ""),
+        ({"notes": np.frombuffer(b"[" * 100_000, np.uint8)}, {}, "."),
         ({}, {"more": 1}, "'more' of its values is unknown"),
         ({}, {"span": [0, 1.0]}, "'span.0' is not of type float"),
         ({}, {"z0": [0.0, 0.0]}, "'z0' of its arrays is missing"),
