@@ -290,8 +290,8 @@ def _largest(values):
 def _newton(z, time, h, q_first, parameters, slopes, mixed, matrix, pivots, units):
     """Solve the implicit half of a step for q (for p unless q_first), in place.
 
-    Pivots and the convergence are those in units of the components. Returns whether the iteration
-    converged, and the number of evaluations.
+    Pivots and the convergence are those in units of the components. Returns whether the
+    iteration converged, and the number of evaluations.
     """
     at, h = (0, h) if q_first else (DOF, -h)
     unknown, units = z[0, at : at + DOF], units[at : at + DOF]
@@ -441,10 +441,10 @@ def implicit(
 
     Each row of states contains the state and the rates at the last step's stages, which are
     extrapolated to the initial guess. Iteration goes on while corrections shrink to a third,
-    and the factors of Newton's matrix are kept while they shrink tenfold. Corrections and pivots
-    are compared in units of the components. The sum over steps is compensated. The coefficients
-    a_ij are shares[i, j] times b_j; shares[i, j] and shares[j, i] add up to 1 exactly, so that the
-    rounded method is symplectic (Antonana, Makazaga & Murua 2017).
+    and the factors of Newton's matrix are kept while they shrink tenfold. Corrections and
+    pivots are compared in units of the components. The sum over steps is compensated. The
+    coefficients a_ij are shares[i, j] times b_j; shares[i, j] and shares[j, i] add up to 1
+    exactly, so that the rounded method is symplectic (Antonana, Makazaga & Murua 2017).
     """
     stages = weights.shape[0]
     increments = np.empty((stages, DIM))
@@ -526,7 +526,8 @@ def implicit(
                         scale = max(1e-300, terms[half])
                         for component in range(half * DOF, (half + 1) * DOF):
                             for stage in range(stages):
-                                correction, unit = right[stage * DIM + component], units[component]
+                                unit = units[component]
+                                correction = right[stage * DIM + component]
                                 increments[stage, component] -= correction * unit
                                 largest = max(largest, abs(correction))
                                 size = max(abs(points[stage, component]), abs(state[component]))
