@@ -46,9 +46,10 @@ from hamsym.support.validation import checked_mapping, require_whole
 # Largest degrees in tau, by the number of inputs: of the map with its defect, and of all else.
 _IN_TIME = {1: (16, 12), 2: (14, 12), 3: (12, 10)}
 _IN_TIME_OF_MANY = 10, 8
-# Largest and least degrees in the inputs, as far as models without time have so many terms; and
-# that of M, on which second-order terms depend alone.
-_MOST, _LEAST, _TERMS, _OF_MATRIX = 18, 6, 800, 4
+# Largest and least degrees in the inputs, as far as models without time have so many terms; by how
+# much they exceed that of the map, since products that are left out do not cancel in the defect;
+# and the degree of M, on which second-order terms depend alone.
+_MOST, _LEAST, _TERMS, _BEYOND, _OF_MATRIX = 18, 6, 800, 3, 4
 _SHARE = 1.0  # of the estimated error, that second order and radii may add
 _AT_ONCE = 0.2  # of that, at the start of the span; all of it at the end
 _SMALL, _SMALLEST = 0.01, 2e-11  # always small enough: of the tolerance, and of the states
@@ -151,11 +152,11 @@ def _intervals(flow: FlowMap, box: Mapping[str, Any] | None) -> list[Interval]:
 
 
 def _degree(flow: FlowMap) -> int:
-    """The degree of models in the inputs: that of the map, between limits."""
+    """The degree of models in the inputs: above that of the map, between limits."""
     d = len(flow.inputs)
     own = max(piece.degrees.sum(axis=1).max() for leg in legs_of(flow.map) for piece in leg.pieces)
     most = max(m for m in range(1, _MOST + 1) if math.comb(d + m, d) <= _TERMS or m == 1)
-    return int(min(max(own + 3, _LEAST), most))
+    return int(min(max(own + _BEYOND, _LEAST), most))
 
 
 class _Proof:
@@ -171,7 +172,7 @@ class _Proof:
         self.flow = Flow(H, [name for name in flow.region.parameters if name in H.parameter_names])
         (most, in_time), degree = _IN_TIME.get(d, _IN_TIME_OF_MANY), _degree(flow)
         self.space = space_of(d, most, degree)
-        lower = degree - 1 - degree // 9
+        lower = degree - 1 - degree // 9  # all else is multiplied with defects or errors
         self.stepper = Stepper(self.flow, space_of(d, in_time, lower), min(lower - 1, _OF_MATRIX))
         self.slopes = ParameterSlopes(H, [])
         # Steps are chosen with models whose inputs are fixed.
